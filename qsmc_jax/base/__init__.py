@@ -1,0 +1,1 @@
+"""The ground floor: module base class, array annotations, argument checks, elementary functions."""

@@ -1,0 +1,56 @@
+"""Checks of arguments, with one wording: what must hold, what it is instead, what to do.
+
+A value that is being traced has no number yet and passes: whatever it breaks then shows per run, as INADMISSIBLE.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+
+def is_traced(*values: Any) -> bool:
+    """Whether any of the values (leaves of pytrees) is a tracer."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
+def require(condition: bool, message: str) -> None:
+    """Raises `ValueError(message)` unless the condition holds."""
+    if not condition:
+        raise ValueError(message)
+
+
+def require_finite(name: str, value: Any) -> None:
+    """Raises unless every entry of `value` is finite."""
+    if not is_traced(value):
+        ok = bool(np.all(np.isfinite(np.asarray(value))))
+        require(ok, f"Argument `{name}` must be finite, but is {show(value)}.")
+
+
+def require_positive(name: str, value: Any) -> None:
+    """Raises unless every entry of `value` is positive and finite."""
+    if not is_traced(value):
+        ok = bool(np.all(np.isfinite(np.asarray(value)) & (np.asarray(value) > 0)))
+        require(ok, f"Argument `{name}` must be positive and finite, but is {show(value)}.")
+
+
+def require_nonnegative(name: str, value: Any) -> None:
+    """Raises unless every entry of `value` is finite and at least zero."""
+    if not is_traced(value):
+        ok = bool(np.all(np.isfinite(np.asarray(value)) & (np.asarray(value) >= 0)))
+        require(ok, f"Argument `{name}` must be finite and not negative, but is {show(value)}.")
+
+
+def require_shape(name: str, value: Any, shape: tuple[int, ...], why: str) -> None:
+    """Raises unless `value` has the given shape; `why` says where the shape comes from."""
+    is_shape = np.shape(value)
+    require(
+        is_shape == shape,
+        f"Argument `{name}` must have shape {shape} ({why}), but has shape {is_shape}.",
+    )
+
+
+def show(value: Any) -> str:
+    """A number or short array as a person would write it."""
+    array = np.asarray(value)
+    return f"{array:.6g}" if array.ndim == 0 and array.dtype.kind == "f" else str(array.tolist())

@@ -1,0 +1,89 @@
+"""The cubic Hermite interpolant of one step, on the unit interval, and where it turns.
+
+A step of an adaptive solver knows the value and the slope at both ends. Figures such as a supremum are read off this cubic,
+never off a save grid. Slopes are per step: `m = h * dy/dt`.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+
+from qsmc_jax.base.types import RealScalarLike
+
+
+class Cubic(NamedTuple):
+    r"""$p(\theta)$, $\theta \in [0, 1]$, with $p(0) = y_0$, $p(1) = y_1$, $p'(0) = m_0$, $p'(1) = m_1$."""
+
+    y0: RealScalarLike
+    y1: RealScalarLike
+    m0: RealScalarLike
+    m1: RealScalarLike
+
+    def coefficients(self) -> tuple[RealScalarLike, RealScalarLike, RealScalarLike]:
+        r"""$(a, b, m_0)$ of $p = y_0 + m_0 \theta + b \theta^2 + a \theta^3$."""
+        rise = self.y1 - self.y0
+        return self.m0 + self.m1 - 2.0 * rise, 3.0 * rise - 2.0 * self.m0 - self.m1, self.m0
+
+    def __call__(self, theta: RealScalarLike) -> RealScalarLike:
+        """The value at `theta`."""
+        a, b, m0 = self.coefficients()
+        return self.y0 + theta * (m0 + theta * (b + theta * a))
+
+    def slope(self, theta: RealScalarLike) -> RealScalarLike:
+        """The derivative at `theta`, per step."""
+        a, b, m0 = self.coefficients()
+        return m0 + theta * (2.0 * b + theta * 3.0 * a)
+
+    def turning_points(self) -> tuple[RealScalarLike, RealScalarLike]:
+        """Where the cubic turns, in order, clipped to [0, 1]; an end of the interval stands for a turn that isn't there.
+
+        Gradients do not pass through: at an extremum the value does not depend on the place to first order.
+        """
+        a, b, m0 = (stop_gradient(c) for c in self.coefficients())
+        discriminant = b * b - 3.0 * a * m0
+        q = -(b + jnp.where(b < 0.0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(discriminant, 0.0)))
+        first, second = _quotient(q, 3.0 * a), _quotient(m0, q)
+        turns = discriminant > 0.0
+        low = jnp.where(turns, jnp.minimum(first, second), 0.0)
+        high = jnp.where(turns, jnp.maximum(first, second), 1.0)
+        return jnp.clip(low, 0.0, 1.0), jnp.clip(high, 0.0, 1.0)
+
+    def largest(self, start: RealScalarLike = 0.0) -> RealScalarLike:
+        r"""$\max |p(\theta)|$ over $\theta$ from `start` in [0, 1] on."""
+        places = (start, *(jnp.maximum(turn, start) for turn in self.turning_points()))
+        highest = jnp.abs(self.y1)
+        for place in places:
+            highest = jnp.maximum(highest, jnp.abs(self(place)))
+        return highest
+
+
+class Quintic(NamedTuple):
+    r"""$p(\theta)$, $\theta \in [0, 1]$, with values y, slopes m and second derivatives q given at both ends, per step."""
+
+    ends: Cubic
+    q0: RealScalarLike
+    q1: RealScalarLike
+
+    def __call__(self, theta: RealScalarLike) -> RealScalarLike:
+        """The value at `theta`: the cubic, and what the second derivatives add, which vanishes to second order at both ends."""
+        a, b, _ = self.ends.coefficients()
+        lack0, lack1 = self.q0 - 2.0 * b, self.q1 - 2.0 * b - 6.0 * a
+        hump = 0.5 * theta * theta * (1.0 - theta) ** 2
+        return self.ends(theta) + hump * (lack0 * (1.0 - theta) + lack1 * theta)
+
+    def turn_near(self, theta: RealScalarLike) -> RealScalarLike:
+        """The turning point next to `theta`, where the cubic turns: two Newton steps, kept inside [0, 1]."""
+        slope = jax.grad(self.__call__)
+        for _ in range(2):
+            curvature = jax.grad(slope)(theta)
+            step = slope(theta) / jnp.where(curvature == 0.0, jnp.inf, curvature)
+            theta = jnp.clip(theta - step, 0.0, 1.0)
+        return stop_gradient(theta)
+
+
+def _quotient(numerator: RealScalarLike, denominator: RealScalarLike) -> RealScalarLike:
+    """The quotient, or -1 (outside the unit interval) where the denominator is zero."""
+    is_zero = denominator == 0.0
+    return jnp.where(is_zero, -1.0, numerator / jnp.where(is_zero, 1.0, denominator))

@@ -1,0 +1,1 @@
+"""What the controller is: the sliding surface, the funnel, and the law."""

@@ -1,0 +1,41 @@
+"""The quasi-sliding-mode control law."""
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import is_traced, require, show
+from qsmc_jax.base.gudermann import tan_half_pi
+from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.surface import SlidingSurface
+
+
+class QuasiSlidingControl(AbstractModule):
+    r"""The law $u = -\operatorname{sgn}(g)\tan\frac{\pi\sigma}{2\rho}$.
+
+    Of the plant it knows the order and the sign of the gain.
+
+    Attributes:
+        surface: Sliding surface, $\sigma$ as a function of the errors.
+        funnel: Funnel $\rho(t)$.
+        gain_sign: The sign of the control gain g, 1 or -1.
+
+    Source: paper, eq. (4). The paper's law is given inside the funnel only; the next branches of the tangent, which
+    point the wrong way, are never used: outside, u is NaN.
+    """
+
+    surface: SlidingSurface
+    funnel: Funnel
+    gain_sign: Float[Array, ""] = float_field(default=1.0)
+
+    def __check_init__(self):
+        if not is_traced(self.gain_sign):
+            require(
+                bool(np.all(np.abs(self.gain_sign) == 1.0)),
+                f"Argument `gain_sign` must be 1 or -1, but is {show(self.gain_sign)}. It is the sign of g.",
+            )
+
+    def __call__(self, sigma: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
+        r"""The control at sliding variable `sigma` and half-width `rho`; NaN unless $|\sigma| < \rho$."""
+        return -self.gain_sign * tan_half_pi(sigma, rho)

@@ -1,0 +1,1 @@
+"""What is controlled, what it should follow, and what disturbs it."""

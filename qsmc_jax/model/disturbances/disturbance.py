@@ -1,0 +1,162 @@
+"""What a disturbance is, a bounded function of time that says where it is not smooth; and how disturbances combine."""
+
+import abc
+import functools as ft
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require, require_finite
+from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.types import RealScalarLike
+
+
+class AbstractDisturbance(AbstractModule):
+    r"""A matched disturbance $d(t)$, a deterministic function of time with a provable bound.
+
+    Randomness sits in the parameters, drawn before the run, never in the call: so a run can be solved again, at any
+    tolerance. Disturbances add, and scale by a number: `2.0 * Sine(1.0, 3.0) - 1.0` is one.
+
+    Source: paper, eq. (1) and Assumption 2, $|d(t)| < \bar d$.
+    """
+
+    # NumPy scalars would otherwise try to multiply by the object entry by entry, and never ask `__rmul__`.
+    __array_ufunc__: ClassVar[None] = None
+
+    @abc.abstractmethod
+    def __call__(self, t: RealScalarLike) -> RealScalarLike:
+        """The disturbance at time `t` [s], a scalar in units of the last state per second.
+
+        At a jump it holds the value that follows (continuous from the right).
+        """
+
+    @property
+    @abc.abstractmethod
+    def bound(self) -> RealScalarLike:
+        r"""A number $\bar d$ with $|d(t)| \le \bar d$ for all t >= 0, provable from the parameters.
+
+        The computed d(t) may pass it by rounding. In units of the last state per second.
+        """
+
+    @property
+    @abc.abstractmethod
+    def break_times(self) -> Float[Array, " breaks"]:
+        """Times [s] at which the disturbance or one of its derivatives jumps, in any order; the solver steps to them.
+
+        Their number is fixed when traced; unused places hold `inf`. `no_breaks()` for a smooth one.
+        """
+
+    def __add__(self, other: "AbstractDisturbance | RealScalarLike") -> "AbstractDisturbance":
+        return Sum((self, other if isinstance(other, AbstractDisturbance) else Constant(other)))
+
+    def __radd__(self, other: RealScalarLike) -> "AbstractDisturbance":
+        return self + other
+
+    def __neg__(self) -> "AbstractDisturbance":
+        return Scaled(-1.0, self)
+
+    def __sub__(self, other: "AbstractDisturbance | RealScalarLike") -> "AbstractDisturbance":
+        return self + -other
+
+    def __mul__(self, scale: RealScalarLike) -> "AbstractDisturbance":
+        return Scaled(scale, self)
+
+    def __rmul__(self, scale: RealScalarLike) -> "AbstractDisturbance":
+        return Scaled(scale, self)
+
+
+def no_breaks() -> Float[Array, " breaks"]:
+    """The break times of a smooth disturbance: none."""
+    return jnp.zeros((0,))
+
+
+class Constant(AbstractDisturbance):
+    r"""A constant, $d(t) = v$.
+
+    Attributes:
+        value: The constant v.
+    """
+
+    value: Float[Array, ""] = float_field()
+
+    def __check_init__(self):
+        require_finite("value", self.value)
+
+    def __call__(self, t: RealScalarLike) -> RealScalarLike:
+        return jnp.asarray(self.value)
+
+    @property
+    def bound(self) -> RealScalarLike:
+        return jnp.abs(self.value)
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        return no_breaks()
+
+
+class Sum(AbstractDisturbance):
+    r"""A sum of disturbances, $d(t) = \sum_i d_i(t)$, $\bar d = \sum_i \bar d_i$; `a + b` builds it.
+
+    Attributes:
+        terms: The disturbances $d_i$, one or more.
+    """
+
+    terms: tuple[AbstractDisturbance, ...] = eqx.field(converter=tuple)
+
+    def __check_init__(self):
+        require_disturbances("terms", self.terms)
+
+    def __call__(self, t: RealScalarLike) -> RealScalarLike:
+        return sum(term(t) for term in self.terms)
+
+    @property
+    def bound(self) -> RealScalarLike:
+        return sum(term.bound for term in self.terms)
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        return jnp.concatenate([term.break_times for term in self.terms])
+
+
+class Scaled(AbstractDisturbance):
+    r"""A multiple of a disturbance, $d(t) = s\, d_1(t)$, $\bar d = |s|\, \bar d_1$; `s * a` builds it.
+
+    Attributes:
+        scale: The factor s [-].
+        disturbance: The disturbance $d_1$.
+    """
+
+    scale: Float[Array, ""] = float_field()
+    disturbance: AbstractDisturbance
+
+    def __check_init__(self):
+        require_finite("scale", self.scale)
+        require_disturbances("disturbance", (self.disturbance,))
+
+    def __call__(self, t: RealScalarLike) -> RealScalarLike:
+        return self.scale * self.disturbance(t)
+
+    @property
+    def bound(self) -> RealScalarLike:
+        return jnp.abs(self.scale) * self.disturbance.bound
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        return self.disturbance.break_times
+
+
+def require_disturbances(name: str, values: tuple[object, ...]) -> None:
+    """Raises unless `values` holds disturbances, at least one."""
+    strangers = [type(value).__name__ for value in values if not isinstance(value, AbstractDisturbance)]
+    require(
+        len(values) > 0 and not strangers,
+        f"Argument `{name}` must hold disturbances, at least one, but has {strangers or 'none'}. "
+        "Wrap a number as `disturbances.Constant(number)`.",
+    )
+
+
+def largest_bound(disturbances: tuple[AbstractDisturbance, ...]) -> RealScalarLike:
+    """The largest of the bounds."""
+    return ft.reduce(jnp.maximum, [disturbance.bound for disturbance in disturbances])

@@ -1,0 +1,108 @@
+"""Plants in strict-feedback form, and the two of the paper."""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require_nonnegative, require_positive
+from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.types import RealScalarLike, State
+
+
+class AbstractPlant(AbstractModule):
+    r"""A plant $\dot x_i = x_{i+1}$ ($i < n$), $\dot x_n = f(t, x) + g(t, x) u + d(t)$, $y = x_1$.
+
+    Subclass it with a class attribute `order` (n >= 1) and the two methods; write them with `jax.numpy`. The controller never
+    sees them: it knows the sign of g only.
+
+    Source: paper, eq. (1); the paper has f(x) and g(x), time is added for drifting parameters.
+    """
+
+    order: eqx.AbstractClassVar[int]
+
+    @abc.abstractmethod
+    def drift(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        """The drift f(t, x), in units of the last state per second.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of n scalars `x[0] ... x[n - 1]`.
+
+        Returns:
+            A scalar.
+        """
+
+    @abc.abstractmethod
+    def gain(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        """The control gain g(t, x), in units of the last state per second and unit of input.
+
+        Theorem 1 needs it away from zero with a known sign; `QuasiSlidingControl(gain_sign=...)` says which.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of n scalars `x[0] ... x[n - 1]`.
+
+        Returns:
+            A scalar.
+        """
+
+
+class InvertedPendulum(AbstractPlant):
+    r"""Inverted pendulum, $f = -\frac{G}{l}\sin x_1 - \frac{k}{m} x_2 + \sin x_2$, $g = \frac{1}{m l^2}$.
+
+    State: angle [rad], angular velocity [rad/s]. Input: torque [N m].
+
+    Attributes:
+        mass: End mass m [kg], positive.
+        length: Length of the rod l [m], positive.
+        friction: Friction coefficient k [kg/s], not negative.
+        gravity: Acceleration due to gravity G [m/s^2].
+
+    Source: paper, Example 1.
+    """
+
+    mass: Float[Array, ""] = float_field(default=0.01)
+    length: Float[Array, ""] = float_field(default=9.8)
+    friction: Float[Array, ""] = float_field(default=0.01)
+    gravity: Float[Array, ""] = float_field(default=9.8)
+
+    order: ClassVar[int] = 2
+
+    def __check_init__(self):
+        require_positive("mass", self.mass)
+        require_positive("length", self.length)
+        require_nonnegative("friction", self.friction)
+
+    def drift(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        return -self.gravity / self.length * jnp.sin(x[0]) - self.friction / self.mass * x[1] + jnp.sin(x[1])
+
+    def gain(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        return 1.0 / (self.mass * self.length**2)
+
+
+class FourthOrderExample(AbstractPlant):
+    r"""Fourth-order numerical system, $f = x_3 \sin 2x_2 + x_1 \cos x_4$, $g = 2 - \sin x_4$.
+
+    Attributes:
+        drift_scale: Factor on the drift f [-]; 1 in the paper.
+        gain_scale: Factor on the gain g [-], positive; 1 in the paper.
+
+    Source: paper, eq. (13), Example 2. The factors are ours: they let a study disperse the plant.
+    """
+
+    drift_scale: Float[Array, ""] = float_field(default=1.0)
+    gain_scale: Float[Array, ""] = float_field(default=1.0)
+
+    order: ClassVar[int] = 4
+
+    def __check_init__(self):
+        require_positive("gain_scale", self.gain_scale)
+
+    def drift(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        return self.drift_scale * (x[2] * jnp.sin(2.0 * x[1]) + x[0] * jnp.cos(x[3]))
+
+    def gain(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        return self.gain_scale * (2.0 - jnp.sin(x[3]))

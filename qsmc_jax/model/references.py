@@ -1,0 +1,128 @@
+"""References: the wanted output and its time derivatives."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require_finite, require_shape
+from qsmc_jax.base.module import AbstractModule, as_float64, float_field
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.model.smooth import require_smooth, time_derivatives
+
+
+class AbstractReference(AbstractModule):
+    r"""A reference $x_{des}(t)$ that the output should follow, with as many derivatives as the plant has states.
+
+    Source: paper, below eq. (1), where $x_{des}$ is smooth; its bounds matter to the proof, not here.
+    """
+
+    @abc.abstractmethod
+    def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:
+        r"""The reference and its first derivatives, $(x_{des}, \dot x_{des}, \dots, x_{des}^{(order)})$ at time t.
+
+        Args:
+            t: Time [s].
+            order: Highest derivative wanted, not negative; fixed when traced.
+
+        Returns:
+            A tuple of `order + 1` scalars, in units of the output per second to the power k.
+        """
+
+    def __call__(self, t: RealScalarLike) -> RealScalarLike:
+        """The reference at time `t` [s], in units of the output."""
+        return self.derivatives(t, 0)[0]
+
+
+class Constant(AbstractReference):
+    r"""A constant, $x_{des}(t) = v$: regulation to a set point.
+
+    Attributes:
+        value: The constant v, in units of the output.
+    """
+
+    value: Float[Array, ""] = float_field()
+
+    def __check_init__(self):
+        require_finite("value", self.value)
+
+    def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:
+        return (jnp.asarray(self.value), *(jnp.zeros(()) for _ in range(order)))
+
+
+class SumOfSines(AbstractReference):
+    r"""A sum of sines, $x_{des}(t) = v + \sum_j a_j \sin(\omega_j t + \varphi_j)$.
+
+    $x_{des}^{(k)} = \sum_j a_j \omega_j^k \sin(\omega_j t + \varphi_j + k \pi / 2)$ for k >= 1, by cycling through one
+    sine and one cosine.
+
+    Attributes:
+        amplitudes: Amplitudes $a_j$, in units of the output.
+        frequencies: Angular frequencies $\omega_j$ [rad/s].
+        phases: Phases $\varphi_j$ [rad]; None means zero.
+        offset: The mean v, in units of the output.
+
+    Source: paper, Example 1 is `SumOfSines([1.0], [1.0])`, Example 2 is
+        `SumOfSines([1.0, 1.0], [1.0, 0.5], [0.0, pi / 2])`.
+    """
+
+    amplitudes: Float[Array, " terms"] = float_field()
+    frequencies: Float[Array, " terms"] = float_field()
+    phases: Float[Array, " terms"] = float_field()
+    offset: Float[Array, ""] = float_field()
+
+    def __init__(self, amplitudes: Any, frequencies: Any, phases: Any = None, offset: Any = 0.0):
+        self.amplitudes = as_float64(amplitudes)
+        self.frequencies = as_float64(frequencies)
+        self.phases = np.zeros(np.shape(self.amplitudes)) if phases is None else as_float64(phases)
+        self.offset = as_float64(offset)
+
+    def __check_init__(self):
+        require_finite("amplitudes", self.amplitudes)
+        for name, value in (("frequencies", self.frequencies), ("phases", self.phases)):
+            require_shape(name, value, np.shape(self.amplitudes), "one per amplitude")
+            require_finite(name, value)
+        require_finite("offset", self.offset)
+
+    def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:
+        angles = self.frequencies * t + self.phases
+        sine, cosine = jnp.sin(angles), jnp.cos(angles)
+        cycle = (sine, cosine, -sine, -cosine)
+        waves = [jnp.sum(self.amplitudes * self.frequencies**k * cycle[k % 4]) for k in range(order + 1)]
+        return (self.offset + waves[0], *waves[1:])
+
+
+class Smooth(AbstractReference):
+    r"""Any smooth function of time; its derivatives come by Taylor mode, or by repeated forward mode where need be.
+
+    `fn` is part of the pytree: a plain Python function is static to `eqx.filter_jit` and its kin, and the numbers in
+    its closure are constants. To sweep, draw or tune numbers, hold them as arrays where they can be seen: in an
+    `eqx.Module` with a `__call__(t)`, or in `eqx.Partial(fn, number, ...)`, whose `fn` takes them before t.
+
+    A function with kinks or jumps is refused; `model/smooth.py` has the rule. Singular points of a smooth function (a
+    square root at 0, an arcsine at 1) are not seen, except at t = 0, where every run starts.
+
+    Attributes:
+        fn: The function t -> x_des(t) of a scalar, written with `jax.numpy`, in units of the output.
+
+    Raises:
+        ValueError: If `fn` can't be traced, is not smooth, has no forward derivative, does not return one number,
+            closes over a traced number, or isn't finite with a finite derivative at t = 0.
+
+    Examples:
+        >>> reference = Smooth(lambda t: jnp.tanh(t) * jnp.sin(2.0 * t))
+        >>> reference = Smooth(eqx.Partial(lambda width, t: jnp.exp(-((t - 5.0) / width) ** 2), np.asarray(1.5)))
+    """
+
+    fn: Callable[..., Any]
+
+    def __check_init__(self):
+        with jax.enable_x64(True):
+            require_smooth(self.fn)
+
+    def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:
+        return time_derivatives(self.fn, t, order)

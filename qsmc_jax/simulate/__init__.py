@@ -1,0 +1,1 @@
+"""One trajectory: coordinates, guarded solver, figures tallied inside the solve, outcome, pictures."""

@@ -1,0 +1,127 @@
+"""The one place that calls `diffeqsolve`: a problem, a start and a horizon in, figures (and signals) out."""
+
+import diffrax as dfx
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from qsmc_jax.base import trees
+from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.control.error_bounds import peak_gains
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.simulate.coordinates import Scalars, named_coordinates
+from qsmc_jax.simulate.figures import Ending, Figures, read_figures
+from qsmc_jax.simulate.guarded_solver import GuardedSolver, Run
+from qsmc_jax.simulate.outcome import Outcome
+from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulate.tally import Problem, first_tally
+
+# The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends there.
+_LEAST_STEP = 1e-15
+# The first step, relative to the horizon: small, so that no start is too stiff for it. It grows tenfold with every step kept.
+_FIRST_STEP = 1e-6
+# Break times closer than this, relative to the horizon, are one and the same up to rounding.
+_SAME_TIME = 1e-13
+
+
+def pose(loop: ClosedLoop, bandwidth: RealScalarLike, settings: SolverSettings) -> Problem:
+    """The problem of solving a loop: its thresholds and the coordinates that the settings name."""
+    gains = peak_gains(loop.control.surface.c)
+    return Problem(
+        loop=loop,
+        coordinates=named_coordinates(settings.coordinates),
+        bandwidth=bandwidth,
+        reaching_time=loop.control.funnel.reaching_time(bandwidth),
+        error_bounds=tuple(bandwidth * gains[i] for i in range(loop.order)),
+    )
+
+
+def solve(
+    problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None = None
+) -> tuple[Figures, Scalars | None]:
+    """Solves one run from time 0 to `t1`.
+
+    Args:
+        problem: From `pose`.
+        x0: The start, n scalars.
+        t1: The horizon [s], positive.
+        settings: Method and tolerances.
+        ts: Times [s] at which to save the integrated coordinates, sorted, within [0, t1].
+
+    Returns:
+        The figures, and the coordinates at `ts` (n arrays; not finite after the end of a run that stopped early).
+    """
+    refused = _refusal(problem, x0)
+    is_admitted = refused == Outcome.COMPLETED
+    horizon = jnp.asarray(t1)
+    # A refused run is given no time: it takes no step, and holds up nobody in its block.
+    end = jnp.where(is_admitted, horizon, 0.0)
+    y0 = trees.where(is_admitted, problem.coordinates.start(problem.loop, x0), tuple(x0))
+    run0 = Run(y0, first_tally(problem, y0))
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(_carry),
+        GuardedSolver(_method(settings)),
+        t0=jnp.zeros(()),
+        t1=end,
+        dt0=_FIRST_STEP * horizon,
+        y0=run0,
+        args=problem,
+        saveat=_saveat(ts),
+        stepsize_controller=_controller(problem, horizon, settings),
+        max_steps=settings.max_steps,
+        throw=False,
+    )
+    last, saved = solution.ys
+    ending = Ending(
+        refused=refused,
+        horizon=horizon,
+        end_time=solution.ts[0][0],
+        run=trees.first(last),
+        result=solution.result,
+        first_height=run0.tally.peak.height,
+        steps=solution.stats["num_steps"],
+    )
+    return read_figures(problem, ending), saved
+
+
+def _carry(t: RealScalarLike, run: Run, problem: Problem) -> Run:
+    """The vector field over the whole integrated state; the solver itself only ever asks for that of `y`."""
+    return Run(problem.coordinates.vector_field(t, run.y, problem.loop), trees.zeros_like(run.tally))
+
+
+def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:
+    """COMPLETED if the premises at the start hold, else the outcome that names the broken one."""
+    control = problem.loop.control
+    sigma, rho = problem.loop.sliding_variable(0.0, x0), control.funnel(0.0)
+    starts_inside = jnp.abs(sigma) < rho
+    is_fit = control.funnel.is_valid() & control.surface.is_hurwitz()
+    code = jnp.where(starts_inside, int(Outcome.COMPLETED), int(Outcome.STARTED_OUTSIDE))
+    return jnp.where(is_fit, code, int(Outcome.BAD_PARAMETERS))
+
+
+def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:
+    if settings.method == "tsit5":
+        return dfx.Tsit5()
+    return dfx.Kvaerno5(root_finder=dfx.VeryChord(rtol=settings.rtol, atol=settings.atol))
+
+
+def _controller(problem: Problem, horizon: RealScalarLike, settings: SolverSettings) -> dfx.AbstractStepSizeController:
+    """Adaptive steps on the error of `y` alone, which stop wherever the disturbance breaks."""
+    controller = dfx.PIDController(
+        rtol=settings.rtol, atol=settings.atol, norm=_norm, dtmin=_LEAST_STEP * horizon, force_dtmin=False
+    )
+    breaks = jnp.sort(jnp.asarray(problem.loop.disturbance.break_times))
+    if breaks.size == 0:
+        return controller
+    is_new = jnp.concatenate([jnp.ones(1, bool), jnp.diff(breaks) > _SAME_TIME * horizon])
+    return dfx.ClipStepSizeController(controller, jump_ts=jnp.where(is_new, breaks, jnp.inf))
+
+
+def _norm(run: Run) -> Float[Array, ""]:
+    return optx.max_norm(run.y)
+
+
+def _saveat(ts: Float[Array, " times"] | None) -> dfx.SaveAt:
+    end = dfx.SubSaveAt(t1=True)
+    along = None if ts is None else dfx.SubSaveAt(ts=ts, fn=lambda t, run, args: run.y)
+    return dfx.SaveAt(subs=(end, along))

@@ -1,0 +1,269 @@
+"""From the end of a solve to what a user reads: outcome, verdict per claim, and the figures of one run."""
+
+import functools as ft
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
+from qsmc_jax.base.hermite import Cubic, Quintic
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.simulate.coordinates import Scalars
+from qsmc_jax.simulate.guarded_solver import Run
+from qsmc_jax.simulate.outcome import Outcome, Verdict
+from qsmc_jax.simulate.tally import OutsideStep, PeakStep, Problem
+
+# A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and the
+# input does not push back now nor then.
+_IMMINENT = 1e-9
+_BISECTIONS = 50
+
+
+class Figures(AbstractModule):
+    """The figures of one run, each a scalar (`peak_errors`: n scalars). What is not known is NaN, never a guess.
+
+    Attributes:
+        verdict: Verdict on the funnel claim, |sigma(t)| < rho(t) for all t.
+        verdict_reaching: Verdict on |sigma(t)| < bandwidth for all t >= t_r.
+        verdict_tracking: Verdict on the errors ending inside the bound that |sigma| < bandwidth implies.
+        outcome: How the solve ended, an `Outcome`.
+        end_time: Time up to which the run was solved [s].
+        peak_ratio: sup |sigma|/rho [-]; 1 if the run left the funnel.
+        margin: 1 - peak_ratio [-], without cancellation.
+        peak_time: When the peak occurs [s].
+        peak_u: sup |u|, units of the input.
+        peak_u_bound: What the comparison lemma allows for `peak_u`; a higher peak is a defect of the simulator.
+        reach_time: Time after which |sigma| < bandwidth for good [s]; inf if never.
+        violation_time: When the run left the funnel [s]; inf if it did not.
+        settle_time: Time after which the errors are within their bounds for good, to the step [s]; inf if never.
+        peak_errors: sup |e^(i)| over t >= t_r, i = 0..n-1.
+        rms_error: Root mean square of e over the horizon.
+        energy_u: Integral of u^2.
+        total_variation_u: Integral of |du/dt|.
+        least_gain: Least gain_sign * g met at the end of a step; not positive if the premise on the gain is broken.
+        largest_disturbance: Largest |d| met at the end of a step.
+        steps: Steps taken, kept or not.
+    """
+
+    verdict: Int[Array, ""]
+    verdict_reaching: Int[Array, ""]
+    verdict_tracking: Int[Array, ""]
+    outcome: Int[Array, ""]
+    end_time: Float[Array, ""]
+    peak_ratio: Float[Array, ""]
+    margin: Float[Array, ""]
+    peak_time: Float[Array, ""]
+    peak_u: Float[Array, ""]
+    peak_u_bound: Float[Array, ""]
+    reach_time: Float[Array, ""]
+    violation_time: Float[Array, ""]
+    settle_time: Float[Array, ""]
+    peak_errors: tuple[Float[Array, ""], ...]
+    rms_error: Float[Array, ""]
+    energy_u: Float[Array, ""]
+    total_variation_u: Float[Array, ""]
+    least_gain: Float[Array, ""]
+    largest_disturbance: Float[Array, ""]
+    steps: Int[Array, ""]
+
+
+class Peak(AbstractModule):
+    """The peak of |s|: its height, its time [s] and the coordinates there."""
+
+    height: RealScalarLike
+    time: RealScalarLike
+    y: Scalars
+
+
+class Ending(AbstractModule):
+    """What the solver hands over: whether the run was admissible, the horizon, and where and how the solve stopped."""
+
+    refused: Int[Array, ""]
+    horizon: Float[Array, ""]
+    end_time: Float[Array, ""]
+    run: Run
+    result: dfx.RESULTS
+    first_height: RealScalarLike
+    steps: Int[Array, ""]
+
+
+def read_figures(problem: Problem, ending: Ending) -> Figures:
+    """Outcome first, then the verdicts, then the figures: those of an unfinished run are masked."""
+    tally = ending.run.tally
+    outcome, peak = _outcome(problem, ending), _sharpened(problem, tally.peak)
+    reach_time = _reach_time(tally.outside, problem.bandwidth, ending.end_time)
+    settle_time = jnp.where(tally.unsettled_time >= ending.end_time, jnp.inf, tally.unsettled_time)
+    verdict, reaching, tracking = _verdicts(problem, outcome, ending.horizon, reach_time, settle_time)
+    is_complete = outcome == Outcome.COMPLETED
+    has_left = outcome == Outcome.LEFT_FUNNEL
+    is_steady = is_complete & (ending.end_time > problem.reaching_time)
+
+    def known(value: RealScalarLike, where_left: RealScalarLike = jnp.nan) -> Float[Array, ""]:
+        return jnp.where(is_complete, value, jnp.where(has_left, where_left, jnp.nan))
+
+    return Figures(
+        verdict=verdict,
+        verdict_reaching=reaching,
+        verdict_tracking=tracking,
+        outcome=outcome,
+        end_time=ending.end_time,
+        peak_ratio=known(ratio(peak.height), 1.0),
+        margin=known(margin(peak.height), 0.0),
+        peak_time=known(peak.time, ending.end_time),
+        peak_u=known(sinh_cosh(peak.height)[0], jnp.inf),
+        peak_u_bound=known(_comparison_bound(problem, peak, ending.first_height)),
+        reach_time=known(reach_time, jnp.inf),
+        violation_time=known(jnp.inf, ending.end_time),
+        settle_time=known(settle_time, jnp.inf),
+        peak_errors=tuple(jnp.where(is_steady, peak, jnp.nan) for peak in tally.peak_errors),
+        rms_error=known(jnp.sqrt(tally.squared_error / jnp.where(is_complete, ending.end_time, 1.0))),
+        energy_u=known(tally.energy),
+        total_variation_u=known(tally.total_variation),
+        least_gain=tally.least_gain,
+        largest_disturbance=tally.largest_disturbance,
+        steps=ending.steps,
+    )
+
+
+def _outcome(problem: Problem, ending: Ending) -> Int[Array, ""]:
+    """The code of how the solve ended; leaving the funnel is told from a solve that failed near its edge."""
+    result, code = ending.result, ending.refused
+    is_open = code == Outcome.COMPLETED
+    is_stuck = result == dfx.RESULTS.dt_min_reached
+    is_far = result == dfx.RESULTS.event_occurred
+    leaves = (is_stuck | is_far) & _is_leaving(problem, ending)
+    for applies, outcome in (
+        (result == dfx.RESULTS.successful, Outcome.COMPLETED),
+        (leaves, Outcome.LEFT_FUNNEL),
+        (is_far, Outcome.BEYOND_RESOLUTION),
+        (is_stuck, Outcome.STEP_TOO_SMALL),
+        (jnp.array(True), Outcome.MAX_STEPS),
+    ):
+        code = jnp.where(is_open & applies, int(outcome), code)
+        is_open = is_open & ~applies
+    return code
+
+
+def _is_leaving(problem: Problem, ending: Ending) -> Bool[Array, ""]:
+    r"""Whether $|s| \to \infty$ within an instant: outward, at least that fast, and with an input that does not push back.
+
+    At speed $|\dot s|$ what is left to the edge, $\approx e^{-|s|}$ of the funnel, is gone after about $1 / |\dot s|$.
+    """
+    loop, t, y = problem.loop, ending.end_time, ending.run.y
+    dy = problem.coordinates.vector_field(t, y, loop)
+    s, s_rate = problem.coordinates.funnel_motion(loop, t, y, dy)
+    instant = _IMMINENT * ending.horizon
+    x = problem.coordinates.state(loop, t, y)
+    later = tuple(xi + instant * xj for xi, xj in zip(x, (*x[1:], 0.0), strict=True))
+    pushes_back = (loop.control.gain_sign * loop.plant.gain(t, x) > 0.0) & (
+        loop.control.gain_sign * loop.plant.gain(t + instant, later) > 0.0
+    )
+    return (s * s_rate > 0.0) & (jnp.abs(s_rate) * instant > 1.0) & ~pushes_back
+
+
+def _verdicts(
+    problem: Problem,
+    outcome: Int[Array, ""],
+    horizon: RealScalarLike,
+    reach_time: RealScalarLike,
+    settle_time: RealScalarLike,
+) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
+    """The verdicts on the three claims of Theorem 1. Later claims need the earlier ones, and C2.
+
+    Tracking is a limit: a run whose errors are outside at the end although reaching held has a transient that outlasts the
+    horizon, which decides nothing.
+    """
+    is_refused = (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
+    funnel = jnp.where(outcome == Outcome.COMPLETED, int(Verdict.HELD), int(Verdict.UNDECIDED))
+    funnel = jnp.where(outcome == Outcome.LEFT_FUNNEL, int(Verdict.VIOLATED), funnel)
+    funnel = jnp.where(is_refused, int(Verdict.INADMISSIBLE), funnel)
+    held = funnel == Verdict.HELD
+    reached = jnp.where(reach_time < problem.reaching_time, int(Verdict.HELD), int(Verdict.VIOLATED))
+    reached = jnp.where(horizon > problem.reaching_time, reached, int(Verdict.UNDECIDED))
+    reaching = jnp.where(held, reached, funnel)
+    left_over = jnp.where(reaching == Verdict.HELD, int(Verdict.UNDECIDED), reaching)
+    tracking = jnp.where(held, jnp.where(jnp.isfinite(settle_time), int(Verdict.HELD), left_over), funnel)
+    admits = problem.loop.control.funnel.admits(problem.bandwidth)
+    inadmissible = int(Verdict.INADMISSIBLE)
+    return funnel, jnp.where(admits, reaching, inadmissible), jnp.where(admits, tracking, inadmissible)
+
+
+def _reach_time(outside: OutsideStep, bandwidth: RealScalarLike, end_time: RealScalarLike) -> Float[Array, ""]:
+    """The last time with |sigma| >= bandwidth: 0 if there is none, inf if the run ends so.
+
+    In the last such step, |sigma| falls through the bandwidth on the last monotone piece that begins outside; a bisection
+    finds the place, and one Newton step from there carries the derivative.
+    """
+    sigma = outside.sigma
+    low, high = sigma.turning_points()
+    left, right = jnp.zeros(()), low
+    for start, end in ((low, high), (high, jnp.ones(()))):
+        begins_outside = jnp.abs(sigma(start)) >= bandwidth
+        left, right = jnp.where(begins_outside, start, left), jnp.where(begins_outside, end, right)
+
+    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (bracket[0] + bracket[1])
+        is_outside = jnp.abs(sigma(middle)) >= bandwidth
+        return jnp.where(is_outside, middle, bracket[0]), jnp.where(is_outside, bracket[1], middle)
+
+    left, _ = jax.lax.stop_gradient(jax.lax.fori_loop(0, _BISECTIONS, halve, jax.lax.stop_gradient((left, right))))
+    slope = jnp.sign(sigma(left)) * sigma.slope(left)
+    is_falling = slope < 0.0
+    step = (bandwidth - jnp.abs(sigma(left))) / jnp.where(is_falling, slope, -1.0)
+    theta = left + jnp.where(is_falling & (jnp.abs(step) < 1e-3), step, 0.0)
+    ends_outside = (jnp.abs(sigma.y1) >= bandwidth) & (outside.start + outside.length >= end_time)
+    crossed = outside.start + theta * outside.length
+    return jnp.where(outside.length > 0.0, jnp.where(ends_outside, jnp.inf, crossed), 0.0)
+
+
+def _sharpened(problem: Problem, step: PeakStep) -> Peak:
+    """The peak inside its step, by the quintic through values, slopes and second derivatives of s at both ends.
+
+    Every step is searched by its cubic, which costs nothing; the one that matters gets the order of the solver.
+    """
+    rates = ft.partial(_s_rate_and_acceleration, problem)
+    s0, rate0, acceleration0, dy0 = rates(step.start, step.y0)
+    s1, rate1, acceleration1, dy1 = rates(step.start + step.length, step.y1)
+    h = step.length
+    cubic = Cubic(s0, s1, h * rate0, h * rate1)
+    quintic = Quintic(cubic, h * h * acceleration0, h * h * acceleration1)
+    theta, height = jnp.ones(()), jnp.abs(s1)
+    for candidate in (jnp.zeros(()), *map(quintic.turn_near, cubic.turning_points())):
+        value = jnp.abs(quintic(candidate))
+        theta, height = jnp.where(value > height, candidate, theta), jnp.maximum(value, height)
+    y = tuple(Cubic(a, b, h * da, h * db)(theta) for a, b, da, db in zip(step.y0, step.y1, dy0, dy1, strict=True))
+    return Peak(height, step.start + theta * h, y)
+
+
+def _s_rate_and_acceleration(
+    problem: Problem, t: RealScalarLike, y: Scalars
+) -> tuple[RealScalarLike, RealScalarLike, RealScalarLike, Scalars]:
+    """s, its first and second derivative, and the derivative of `y`."""
+    loop, coordinates = problem.loop, problem.coordinates
+
+    def rate(t: RealScalarLike, y: Scalars) -> RealScalarLike:
+        return coordinates.funnel_motion(loop, t, y, coordinates.vector_field(t, y, loop))[1]
+
+    dy = tuple(jnp.asarray(v) for v in coordinates.vector_field(t, y, loop))
+    t, one = jnp.asarray(t), jnp.ones(())
+    s_rate, acceleration = jax.jvp(rate, (t, y), (one, dy))
+    return coordinates.funnel_coordinate(loop, t, y), s_rate, acceleration, dy
+
+
+def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike) -> Float[Array, ""]:
+    r"""The bound $\max(|u(0)|, (|w| + \mu(\rho - \rho_\infty)) / |g|)$ on sup|u|, with w, g, rho taken where the peak is.
+
+    Where |z| = |sigma|/rho peaks after the start its derivative is not negative outwards, so
+    $\tan(\pi |z| / 2) \le (|w| + |\dot\rho|) / |g|$ there: sharper than the supremum over time, and it needs no search.
+    Source: the step "contradiction" in the proof of Theorem 1, made quantitative.
+    """
+    loop, t = problem.loop, peak.time
+    x = problem.coordinates.state(loop, t, peak.y)
+    balance = loop.balance(t, x, loop.desired(t))
+    _, rho_rate = loop.control.funnel.width_and_rate(t)
+    gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
+    at_peak = (jnp.abs(balance.residual) + jnp.abs(rho_rate)) / jnp.abs(gain)
+    return jnp.maximum(sinh_cosh(first_height)[0], jnp.where(balance.gain == 0.0, jnp.inf, at_peak))

@@ -1,0 +1,102 @@
+"""The solver of the closed loop: a diffrax method, a guard, and the tally."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from qsmc_jax.base import trees
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.simulate.coordinates import Scalars
+from qsmc_jax.simulate.tally import Problem, Step, Tally, add_step
+
+# |s| at which a run ends: 1 - |sigma|/rho = 1e-13, an input of 5e12. Only a loop whose input does not push back gets there.
+ESCAPE = 30.0
+# |s| beyond which a candidate step is refused rather than kept: cosh(s) sinh(s) stays far from overflow.
+FARTHEST = 2.0 * ESCAPE
+
+
+class Run(eqx.Module):
+    """The integrated state: coordinates `y`, which the method advances, and the tally, which rides along."""
+
+    y: Scalars
+    tally: Tally
+
+
+class _RunInterpolation(dfx.AbstractLocalInterpolation):
+    """The method's own interpolant for `y`; the tally is that of the step's end."""
+
+    inner: dfx.AbstractLocalInterpolation
+    tally: Tally
+
+    @property
+    def t0(self) -> RealScalarLike:
+        return self.inner.t0
+
+    @property
+    def t1(self) -> RealScalarLike:
+        return self.inner.t1
+
+    def evaluate(self, t0: RealScalarLike, t1: RealScalarLike | None = None, left: bool = True) -> Run:
+        return Run(self.inner.evaluate(t0, t1, left), self.tally)
+
+
+class GuardedSolver(dfx.AbstractAdaptiveSolver):
+    """Advances `y` by `method`, refuses what is not finite or too far out, and brings the tally up to date.
+
+    A refused candidate reports an infinite error and the old state. diffrax alone turns an infinite candidate into a NaN step
+    factor, and tries the same step for ever (0.7.2). The method must be one that knows the derivative at both ends of its step
+    (FSAL), as Tsit5 and Kvaerno5 do.
+    """
+
+    method: dfx.AbstractAdaptiveSolver
+
+    term_structure: ClassVar = dfx.AbstractTerm
+
+    @property
+    def interpolation_cls(self) -> Callable[..., _RunInterpolation]:
+        def interpolation(*, t0: RealScalarLike, t1: RealScalarLike, inner: Any, tally: Tally) -> _RunInterpolation:
+            return _RunInterpolation(inner=self.method.interpolation_cls(t0=t0, t1=t1, **inner), tally=tally)
+
+        return interpolation
+
+    def order(self, terms: Any) -> int | None:
+        return self.method.order(terms)
+
+    def func(self, terms: Any, t0: RealScalarLike, y0: Run, args: Problem) -> Run:
+        return Run(_field(t0, y0.y, args), trees.zeros_like(y0.tally))
+
+    def init(self, terms: Any, t0: RealScalarLike, t1: RealScalarLike, y0: Run, args: Problem) -> Any:
+        return self.method.init(_TERM, t0, t1, y0.y, args)
+
+    def step(
+        self, terms: Any, t0: RealScalarLike, t1: RealScalarLike, y0: Run, args: Problem, solver_state: Any, made_jump: Any
+    ) -> tuple[Run, Run, dict[str, Any], Any, dfx.RESULTS]:
+        y1, error, dense, state, result = self.method.step(_TERM, t0, t1, y0.y, args, solver_state, made_jump)
+        slopes = tuple(_over(stages, t1 - t0) for stages in dense["k"])
+        rates = tuple(slope[0] for slope in slopes), tuple(slope[-1] for slope in slopes)
+        s1 = args.coordinates.funnel_coordinate(args.loop, t1, y1)
+        is_sound = trees.all_finite((y1, slopes)) & (jnp.abs(s1) <= FARTHEST)
+        y1 = trees.where(is_sound, y1, y0.y)
+        rates = trees.where(is_sound, rates, trees.zeros_like(rates))
+        tally = add_step(args, y0.tally, Step(t0, t1, (y0.y, y1), rates))
+        error = Run(trees.where(is_sound, error, (jnp.inf,) * len(error)), trees.zeros_like(tally))
+        has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
+        result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
+        return Run(y1, tally), error, {"inner": dense, "tally": tally}, state, result
+
+
+def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
+    return problem.coordinates.vector_field(t, y, problem.loop)
+
+
+_TERM = dfx.ODETerm(_field)
+
+
+def _over(stages: Array, h: RealScalarLike) -> Array:
+    """Stage increments as derivatives; zero, not NaN, for a step too short to be told from none."""
+    return jnp.where(h > 0.0, stages / jnp.where(h > 0.0, h, 1.0), jnp.zeros_like(stages))

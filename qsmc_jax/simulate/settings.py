@@ -1,0 +1,65 @@
+"""How a loop is solved: method, tolerances, step limit, coordinates. The only place with such numbers."""
+
+from typing import Literal, get_args
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import is_traced, require, require_positive
+from qsmc_jax.base.module import AbstractModule, as_float64, float_field
+from qsmc_jax.base.types import RealScalarLike
+
+Method = Literal["tsit5", "kvaerno5"]
+CoordinatesName = Literal["funnel", "physical"]
+
+
+class SolverSettings(AbstractModule):
+    """Settings of a solve. Tolerances are data (another value does not recompile), the rest is static.
+
+    Attributes:
+        rtol: Relative tolerance [-] of each integrated coordinate, in (0, 1).
+        atol: Absolute tolerance, positive; `None` stands for `rtol / 100`.
+        max_steps: Steps, kept or not, after which a run is given up as UNDECIDED; at least 1.
+        method: `"tsit5"` (explicit, order 5) or `"kvaerno5"` (implicit, order 5, for stiff loops).
+        coordinates: `"funnel"` integrates the loop in the funnel coordinate, which has no pole to step over; `"physical"`
+            integrates the states as they are and rejects every step with a stage outside the funnel: an independent cross-check.
+
+    Raises:
+        ValueError: A tolerance is not positive, rtol is not below 1, or a name is unknown.
+    """
+
+    rtol: Float[Array, ""] = float_field()
+    atol: Float[Array, ""] = float_field()
+    max_steps: int = eqx.field(static=True)
+    method: Method = eqx.field(static=True)
+    coordinates: CoordinatesName = eqx.field(static=True)
+
+    def __init__(
+        self,
+        rtol: RealScalarLike = 1e-6,
+        atol: RealScalarLike | None = None,
+        max_steps: int = 100_000,
+        method: Method = "tsit5",
+        coordinates: CoordinatesName = "funnel",
+    ):
+        self.rtol = as_float64(rtol)
+        self.atol = as_float64(self.rtol / 100.0 if atol is None else atol)
+        self.max_steps = max_steps
+        self.method = method
+        self.coordinates = coordinates
+
+    def __check_init__(self):
+        require_positive("rtol", self.rtol)
+        require_positive("atol", self.atol)
+        require(is_traced(self.rtol) or bool(self.rtol < 1), f"Argument `rtol` must be below 1, but is {self.rtol}.")
+        require(self.max_steps >= 1, f"Argument `max_steps` must be at least 1, but is {self.max_steps}.")
+        for name, value, known in (
+            ("method", self.method, get_args(Method)),
+            ("coordinates", self.coordinates, get_args(CoordinatesName)),
+        ):
+            require(value in known, f"Argument `{name}` must be one of {list(known)}, but is {value!r}.")
+
+
+def tight() -> SolverSettings:
+    """The preset for reference values: rtol 1e-8, some 2.5 times the steps of the default."""
+    return SolverSettings(rtol=1e-8, max_steps=1_000_000)

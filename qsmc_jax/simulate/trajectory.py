@@ -1,0 +1,188 @@
+"""One run in full: `simulate` and the `Trajectory` it returns."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Real
+
+from qsmc_jax.base.checks import require, require_finite, require_positive, require_shape, show
+from qsmc_jax.base.gudermann import ratio, sinh_cosh
+from qsmc_jax.base.module import AbstractModule, as_float64
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.simulate.engine import pose, solve
+from qsmc_jax.simulate.figures import Figures
+from qsmc_jax.simulate.outcome import Outcome, Verdict
+from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulate.tally import Problem
+from qsmc_jax.simulate.trajectory_plots import plot_phase_plane, plot_trajectory
+
+_DEFAULT_TIMES = 2001
+
+
+class Trajectory(AbstractModule):
+    """All signals of one run on a time grid, its figures, and how it ended. NumPy float64; NaN after the end of the run.
+
+    Attributes:
+        ts: Times [s].
+        x: States, one row a time.
+        desired: Desired output and its first n - 1 derivatives, one row a time.
+        e: Errors e^(0) ... e^(n-1), one row a time.
+        sigma: Sliding variable.
+        rho: Funnel half-width.
+        u: Control input.
+        d: Disturbance.
+        figures: Figures of the run, tallied inside the solve (not read off the grid).
+        loop: The loop that was solved.
+        bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
+        error_bounds: What |sigma| < bandwidth implies for each error in the end.
+    """
+
+    ts: Float[np.ndarray, " times"]
+    x: Float[np.ndarray, "times n"]
+    desired: Float[np.ndarray, "times n"]
+    e: Float[np.ndarray, "times n"]
+    sigma: Float[np.ndarray, " times"]
+    rho: Float[np.ndarray, " times"]
+    u: Float[np.ndarray, " times"]
+    d: Float[np.ndarray, " times"]
+    figures: Figures
+    loop: ClosedLoop
+    bandwidth: RealScalarLike
+    error_bounds: Float[np.ndarray, " n"]
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the solve ended."""
+        return Outcome(int(self.figures.outcome))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on the funnel claim; those on the others are in `figures`."""
+        return Verdict(int(self.figures.verdict))
+
+    @property
+    def reaching_time(self) -> float:
+        """t_r [s], from which on the funnel lies inside the bandwidth."""
+        return float(self.loop.control.funnel.reaching_time(self.bandwidth))
+
+    def plot(self) -> Any:
+        """The paper's four pictures as one matplotlib figure: output, errors, input, sliding variable in its funnel."""
+        return plot_trajectory(self)
+
+    def plot_phase_plane(self) -> Any:
+        """The paper's Figure 1 for a plant of order 2: the errors' path between the moving surfaces, as a matplotlib figure."""
+        return plot_phase_plane(self)
+
+    def __str__(self) -> str:
+        f = self.figures
+        names = ("funnel", "reaching", "tracking")
+        verdicts = (f.verdict, f.verdict_reaching, f.verdict_tracking)
+        claims = ", ".join(f"{name} {Verdict(int(v)).name}" for name, v in zip(names, verdicts, strict=True))
+        return "\n".join(
+            (
+                f"Trajectory to t = {float(f.end_time):.6g} s in {int(f.steps)} steps: {claims}",
+                f"  sup |sigma|/rho {float(f.peak_ratio):.6g} at {float(f.peak_time):.4g} s (margin {float(f.margin):.3g})",
+                f"  sup |u| {float(f.peak_u):.6g}, energy {float(f.energy_u):.6g}, total variation {float(f.total_variation_u):.6g}",
+                f"  |sigma| < {float(self.bandwidth):.4g} for good after {float(f.reach_time):.6g} s (t_r = {self.reaching_time:.6g} s)",
+                f"  {self.outcome.name}: {self.outcome.advice}",
+            )
+        )
+
+
+def simulate(
+    loop: ClosedLoop,
+    x0: Real[Array, " n"] | Real[np.ndarray, " n"] | list[Any] | tuple[Any, ...],
+    t1: RealScalarLike,
+    *,
+    bandwidth: RealScalarLike | None = None,
+    ts: Real[Array, " times"] | Real[np.ndarray, " times"] | None = None,
+    settings: SolverSettings | None = None,
+) -> Trajectory:
+    """Solves one run of a closed loop from time 0 to `t1`.
+
+    Args:
+        loop: The closed loop.
+        x0: The start, n numbers.
+        t1: The horizon [s], positive.
+        bandwidth: Bandwidth epsilon of quasi-sliding mode, rho_inf < epsilon < rho0 (C2); None stands for twice rho_inf, as in
+            both examples of the paper.
+        ts: Times [s] at which to give the signals, increasing, within [0, t1]; None for 2001 evenly spaced.
+        settings: Method and tolerances; None for the defaults.
+
+    Returns:
+        The trajectory. A loop that leaves its funnel, or a solve that fails, raises nothing: see `outcome`.
+
+    Raises:
+        ValueError: An argument has the wrong shape or value.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> loop = qj.ClosedLoop(
+        ...     qj.plants.InvertedPendulum(), qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Sine(0.5, 1.0), control
+        ... )
+        >>> run = qj.simulate(loop, [0.9, 0.9], 20.0)
+        >>> run.verdict.name, round(float(run.figures.peak_ratio), 4)
+        ('HELD', 0.6323)
+    """
+    settings = SolverSettings() if settings is None else settings
+    bandwidth = as_float64(2.0 * loop.control.funnel.rho_inf if bandwidth is None else bandwidth)
+    x0, t1 = as_float64(x0), as_float64(t1)
+    check_start(loop, x0, t1)
+    require_finite("bandwidth", bandwidth)
+    loop.control.funnel.check_bandwidth(bandwidth)
+    grid = np.linspace(0.0, float(t1), _DEFAULT_TIMES) if ts is None else as_float64(ts)
+    _check_times(grid, float(t1))
+    return _simulate(loop, x0, t1, bandwidth, grid, settings)
+
+
+def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
+    """Raises `ValueError` unless the start and the horizon fit the loop; traced numbers pass."""
+    require_shape("x0", x0, (loop.order,), f"the plant has order {loop.order}")
+    require_finite("x0", x0)
+    require_positive("t1", t1)
+
+
+@entry_point
+def _simulate(
+    loop: ClosedLoop, x0: Array, t1: Array, bandwidth: Array, ts: Array, settings: SolverSettings
+) -> Trajectory:
+    problem = pose(loop, bandwidth, settings)
+    return _solve_and_sample(problem, x0, t1, ts, settings)
+
+
+@eqx.filter_jit
+def _solve_and_sample(problem: Problem, x0: Array, t1: Array, ts: Array, settings: SolverSettings) -> Trajectory:
+    loop = problem.loop
+    start = tuple(x0[i] for i in range(loop.order))
+    figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts))
+    signals = jax.vmap(lambda t, y: _signals(problem, t, y))(jnp.asarray(ts), saved)
+    has_ended = ts > figures.end_time
+    x, desired, e, sigma, rho, u, d = signals
+    x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (x, e))
+    sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (sigma, u))
+    bounds = jnp.stack([jnp.asarray(bound) for bound in problem.error_bounds])
+    return Trajectory(jnp.asarray(ts), x, desired, e, sigma, rho, u, d, figures, loop, problem.bandwidth, bounds)
+
+
+def _signals(problem: Problem, t: Array, y: tuple[Array, ...]) -> tuple[Array, ...]:
+    """State, desired outputs, errors, sigma, rho, u and d at one instant; sigma and u from the funnel coordinate."""
+    loop = problem.loop
+    x, desired, rho = problem.coordinates.state(loop, t, y), loop.desired(t)[:-1], loop.control.funnel(t)
+    s = problem.coordinates.funnel_coordinate(loop, t, y)
+    e = [xi - di for xi, di in zip(x, desired, strict=True)]
+    u = -loop.control.gain_sign * sinh_cosh(s)[0]
+    return jnp.stack(x), jnp.stack(desired), jnp.stack(e), rho * ratio(s), rho, u, jnp.asarray(loop.disturbance(t))
+
+
+def _check_times(ts: np.ndarray, t1: float) -> None:
+    require(ts.ndim == 1 and ts.size > 0, f"Argument `ts` must be a list of times, but has shape {ts.shape}.")
+    require_finite("ts", ts)
+    inside = bool(ts[0] >= 0.0 and ts[-1] <= t1)
+    require(inside, f"Argument `ts` must lie within [0, t1] = [0, {show(t1)}], but spans [{show(ts[0])}, {show(ts[-1])}].")
+    require(bool(np.all(np.diff(ts) > 0)), "Argument `ts` must increase, but has a time not later than the one before it.")

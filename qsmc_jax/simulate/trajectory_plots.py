@@ -1,0 +1,107 @@
+"""Pictures of one run: the paper's four, and its Figure 1."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure
+
+if TYPE_CHECKING:
+    from qsmc_jax.simulate.trajectory import Trajectory
+
+
+def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None) -> Any:
+    """Output and reference, errors, input, and sigma inside its funnel, of one or several runs of one loop.
+
+    Args:
+        *runs: Trajectories of one plant and reference, say from several starts.
+        labels: One label a run; None for none.
+
+    Returns:
+        A matplotlib `Figure`; save it with `.savefig(path)`.
+    """
+    figure, axes = new_figure(2, 2, (11.0, 7.0))
+    names = labels or ("",) * len(runs)
+    for run, colour, label in zip(runs, _colours(len(runs)), names, strict=True):
+        _output(axes[0, 0], run, colour, label)
+        _input(axes[1, 0], run, colour)
+        axes[1, 1].plot(run.ts, run.sigma, color=colour)
+    _errors(axes[0, 1], runs)
+    first = runs[0]
+    axes[0, 0].plot(first.ts, first.desired[:, 0], "--", color=GREY, label="$x_{des}$")
+    axes[0, 0].set(title="Output and reference", xlabel="t [s]", ylabel="y")
+    axes[0, 0].legend(loc="best", fontsize=8)
+    axes[1, 0].set(title="Input", xlabel="t [s]", ylabel="u")
+    _funnel(axes[1, 1], first)
+    return figure
+
+
+def plot_phase_plane(run: "Trajectory") -> Any:
+    """The paper's Figure 1: e against its derivative, and the surfaces |sigma| = rho(t) closing in on |sigma| = epsilon.
+
+    Args:
+        run: A trajectory of a plant of order 2.
+
+    Returns:
+        A matplotlib `Figure`.
+
+    Raises:
+        ValueError: The plant is not of order 2.
+    """
+    order = run.loop.order
+    require(order == 2, f"The phase plane needs a plant of order 2, but this one has order {order}. Use `plot()`.")
+    figure, axes = new_figure(1, 1, (7.0, 5.5))
+    ax, c = axes[0, 0], float(run.loop.control.surface.c[0])
+    reach = 1.1 * max(np.nanmax(np.abs(run.e[:, 0])), float(run.bandwidth))
+    e = np.linspace(-reach, reach, 2)
+    times = np.linspace(0.0, run.reaching_time, 6)
+    for t, width in zip(times, np.interp(times, run.ts, run.rho), strict=True):
+        for sign in (-1.0, 1.0):
+            label = r"$|\sigma| = \rho(t)$, t = 0 ... $t_r$" if t == 0.0 and sign > 0 else None
+            ax.plot(e, sign * width - c * e, color=GREY, alpha=0.3 + 0.1 * np.searchsorted(times, t), lw=1.0, label=label)
+    for sign in (-1.0, 1.0):
+        ax.plot(e, sign * run.bandwidth - c * e, "--", color=GREEN, label=r"$|\sigma| = \varepsilon$" if sign > 0 else None)
+    ax.plot(e, -c * e, color=BLUE, label=r"$\sigma = 0$")
+    ax.plot(run.e[:, 0], run.e[:, 1], color=RED, label="run")
+    ax.plot(*run.e[0], "o", color=RED)
+    height = 1.2 * np.nanmax(np.abs(run.e[:, 1])) + float(run.bandwidth)
+    ax.set(xlim=(-reach, reach), ylim=(-height, height), xlabel="$e$", ylabel=r"$\dot e$ [1/s]", title="Phase plane")
+    ax.legend(loc="best", fontsize=8)
+    return figure
+
+
+def _colours(count: int) -> list[str]:
+    return [SERIES[i % len(SERIES)] for i in range(count)]
+
+
+def _output(ax: Any, run: "Trajectory", colour: str, label: str) -> None:
+    ax.plot(run.ts, run.x[:, 0], color=colour, label=label or "y")
+
+
+def _errors(ax: Any, runs: tuple["Trajectory", ...]) -> None:
+    """The tracking error of each run; of a single run, the derivatives too."""
+    if len(runs) == 1:
+        for i in range(runs[0].loop.order):
+            ax.plot(runs[0].ts, runs[0].e[:, i], color=SERIES[i % len(SERIES)], label=f"$e^{{({i})}}$")
+        ax.legend(loc="best", fontsize=8)
+    else:
+        for run, colour in zip(runs, _colours(len(runs)), strict=True):
+            ax.plot(run.ts, run.e[:, 0], color=colour)
+    ax.set(title="Tracking error", xlabel="t [s]", ylabel="$e^{(i)}$" if len(runs) == 1 else "$e$")
+
+
+def _input(ax: Any, run: "Trajectory", colour: str) -> None:
+    ax.plot(run.ts, run.u, color=colour)
+
+
+def _funnel(ax: Any, run: "Trajectory") -> None:
+    """The funnel, the bandwidth and the reaching time around the sliding variable, on a scale that shows both ends."""
+    eps, t_r = float(run.bandwidth), run.reaching_time
+    for sign in (-1.0, 1.0):
+        ax.plot(run.ts, sign * run.rho, color=RED, label=r"$\pm\rho$" if sign > 0 else None)
+        ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
+    ax.axvline(t_r, ls=":", color=ORANGE, label=f"$t_r$ = {t_r:.4g} s")
+    ax.set_yscale("symlog", linthresh=2.0 * eps)
+    ax.set(title="Sliding variable in its funnel", xlabel="t [s]", ylabel=r"$\sigma$ (linear below 2 $\varepsilon$)")
+    ax.legend(loc="best", fontsize=8)

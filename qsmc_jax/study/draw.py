@@ -1,0 +1,412 @@
+"""Named numbers of a scenario: a pure function from the unit cube.
+
+A scenario is a plain function `scenario(draw)`. Each distribution takes its coordinates of the unit cube, in order of
+appearance, through its inverse CDF; a parameter takes none. So every kind of study is a choice of a point and of the
+names to substitute, and any run can be done again from these two.
+"""
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jax.scipy.special
+import numpy as np
+import scipy.special
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive, require_shape, show
+from qsmc_jax.base.module import as_float64
+from qsmc_jax.base.types import RealScalarLike
+
+
+@dataclasses.dataclass(frozen=True)
+class DrawSpec:
+    """What is known of one name before any run.
+
+    Attributes:
+        name: The name, label of its columns.
+        kind: The method that drew it, such as "uniform" or "parameter".
+        shape: Shape of its value.
+        bounds: Smallest and largest value; infinite where there is none, or where it depends on other names.
+        start: Its first coordinate of the unit cube.
+        size: How many coordinates it takes; 0 for a parameter.
+        flat_nominal: Entries of `nominal`, in C order.
+        levels: The values it can take when these are finitely many, else empty.
+    """
+
+    name: str
+    kind: str
+    shape: tuple[int, ...]
+    bounds: tuple[float, float]
+    start: int
+    size: int
+    flat_nominal: tuple[float, ...]
+    levels: tuple[float, ...] = ()
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """A parameter's default; the median of a distribution."""
+        return np.array(self.flat_nominal).reshape(self.shape)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Column names, one an entry in C order: `name`, `name[0]` or `name[0,1]`."""
+        if not self.shape:
+            return (self.name,)
+        return tuple(f"{self.name}[{','.join(map(str, index))}]" for index in np.ndindex(self.shape))
+
+
+class PointDraw:
+    """Draws the numbers that belong to one point of the unit cube; implements `Draw`.
+
+    Lives for one call of a scenario and keeps a record of it.
+
+    Attributes:
+        record: The value of each name, in order of appearance.
+        specs: What was found about each name; filled at the nominal point only.
+        dependent: Names whose bounds depend on traced values.
+    """
+
+    def __init__(self, point: Float[Array | np.ndarray, " dim"] | None = None, values: Mapping[str, Any] | None = None):
+        """Starts at the first coordinate.
+
+        Args:
+            point: A point of the unit cube, float64; None for the nominal point, every coordinate at 0.5.
+            values: Numbers to use in place of what the names would get, unchecked (see `check_values`). Coordinates of
+                substituted names are passed over, so that the others don't move.
+        """
+        self.record: dict[str, Any] = {}
+        self.specs: list[DrawSpec] = []
+        self.dependent: set[str] = set()
+        self._point = point
+        self._values = {} if values is None else values
+        self._used = 0
+
+    def parameter(self, name: str, default: RealScalarLike, *, bounds: tuple[RealScalarLike, RealScalarLike]) -> Any:
+        """A named number that is fixed at `default` unless something substitutes it; takes no coordinate."""
+        low, high = _interval(name, "bounds[0]", bounds[0], "bounds[1]", bounds[1])
+        default = _number(name, "default", default)
+        if not is_traced(default, low, high):
+            _require_inside(f"default` of `{name}", default, (low, high))
+        return self._keep(name, "parameter", default, (low, high), size=0)
+
+    def uniform(self, name: str, low: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
+        """Uniform on [low, high]."""
+        low, high = _interval(name, "low", low, "high", high)
+        return self._take(name, "uniform", shape, (low, high), _uniform, low, high)
+
+    def log_uniform(self, name: str, low: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
+        """Uniform in the logarithm on [low, high], 0 < low < high."""
+        require_positive(f"low` of `{name}", low)
+        low, high = _interval(name, "low", low, "high", high)
+        return self._take(name, "log_uniform", shape, (low, high), _log_uniform, low, high)
+
+    def normal(self, name: str, mean: RealScalarLike, std: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
+        """Normal with the given mean and standard deviation."""
+        mean, std = _number(name, "mean", mean), _positive(name, "std", std)
+        return self._take(name, "normal", shape, (-math.inf, math.inf), _normal, mean, std)
+
+    def truncated_normal(
+        self,
+        name: str,
+        mean: RealScalarLike,
+        std: RealScalarLike,
+        low: RealScalarLike,
+        high: RealScalarLike,
+        *,
+        shape: tuple[int, ...] = (),
+    ) -> Any:
+        """Normal with the given mean and standard deviation (before the cut), conditioned on [low, high].
+
+        For one side only, put the other 40 standard deviations away.
+        """
+        mean, std = _number(name, "mean", mean), _positive(name, "std", std)
+        low, high = _interval(name, "low", low, "high", high)
+        if not is_traced(mean, std, low, high):
+            _require_mass(name, mean, std, low, high)
+        return self._take(name, "truncated_normal", shape, (low, high), _truncated_normal, mean, std, low, high)
+
+    def triangular(
+        self, name: str, low: RealScalarLike, mode: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()
+    ) -> Any:
+        """Triangular on [low, high] with its peak at `mode`, low <= mode <= high."""
+        low, high = _interval(name, "low", low, "high", high)
+        mode = _number(name, "mode", mode)
+        if not is_traced(low, mode, high):
+            _require_inside(f"mode` of `{name}", mode, (low, high))
+        return self._take(name, "triangular", shape, (low, high), _triangular, low, mode, high)
+
+    def exponential(self, name: str, mean: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
+        """Exponential with the given mean."""
+        mean = _positive(name, "mean", mean)
+        return self._take(name, "exponential", shape, (0.0, math.inf), _exponential, mean)
+
+    def choice(self, name: str, values: Sequence[Any] | np.ndarray | Array, *, shape: tuple[int, ...] = ()) -> Any:
+        """One of `values`, each equally likely."""
+        array = as_float64(values)
+        require(
+            array.ndim == 1 and array.size > 0,
+            f"Argument `values` of `{name}` must be a list of at least one number, but has shape {array.shape}.",
+        )
+        require_finite(f"values` of `{name}", array)
+        levels = () if is_traced(array) else tuple(array.tolist())
+        return self._take(name, "choice", shape, (array.min(), array.max()), _choice, array, levels=levels)
+
+    def sign(self, name: str, *, shape: tuple[int, ...] = ()) -> Any:
+        """-1 or +1, equally likely."""
+        levels = (-1.0, 1.0)
+        return self._take(name, "sign", shape, levels, _choice, np.array(levels), levels=levels)
+
+    def _take(
+        self,
+        name: str,
+        kind: str,
+        shape: tuple[int, ...],
+        bounds: tuple[Any, Any],
+        quantile: Callable[..., Any],
+        *arguments: Any,
+        levels: tuple[float, ...] = (),
+    ) -> Any:
+        """The value at the next coordinates through the inverse CDF `quantile(u, *arguments)`."""
+        size = math.prod(shape)
+        if self._point is None:
+            u = np.full(shape, 0.5)
+        else:
+            _require_coordinates(name, self._point, self._used + size)
+            u = self._point[self._used : self._used + size].reshape(shape)
+        return self._keep(name, kind, _evaluate(quantile, u, *arguments), bounds, size=size, levels=levels)
+
+    def _keep(
+        self, name: str, kind: str, value: Any, bounds: tuple[Any, Any], *, size: int, levels: tuple[float, ...] = ()
+    ) -> Any:
+        """Records the value, or what is substituted for it, and passes over its coordinates."""
+        _require_new_name(name, self.record)
+        value = _scalar(self._values.get(name, value))
+        self.record[name] = value
+        if is_traced(bounds):
+            self.dependent.add(name)
+        if self._point is None:
+            low, high = map(float, bounds)
+            flat = tuple(np.ravel(value).tolist())
+            self.specs.append(DrawSpec(name, kind, np.shape(value), (low, high), self._used, size, flat, levels))
+        self._used += size
+        return value
+
+
+def discover(scenario: Callable[[Any], Any]) -> tuple[tuple[DrawSpec, ...], Any]:
+    """Finds the names of a scenario.
+
+    It is called once with NumPy numbers, at the nominal point (parameters at their defaults, distributions at their
+    medians), and once traced, to see which bounds depend on other names.
+
+    Args:
+        scenario: A function of a `Draw`, traceable by JAX; which names it draws must not depend on their values.
+
+    Returns:
+        The names in order of appearance, and what the scenario returned at the nominal point.
+    """
+    with jax.enable_x64(True):
+        draw = PointDraw()
+        result = scenario(draw)
+        dependent = _dependent_names(scenario, draw.specs)
+    loose = {"bounds": (-math.inf, math.inf), "levels": ()}
+    return tuple(dataclasses.replace(s, **loose) if s.name in dependent else s for s in draw.specs), result
+
+
+def dimension(specs: Sequence[DrawSpec]) -> int:
+    """How many coordinates of the unit cube the names take together."""
+    return sum(spec.size for spec in specs)
+
+
+def check_values(specs: Sequence[DrawSpec], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Checks numbers that are to be substituted by name.
+
+    Args:
+        specs: The names of the study, from `discover`.
+        values: A number for each name to substitute, or an array of the name's shape.
+
+    Returns:
+        The same as NumPy float64 arrays; tracers pass through.
+
+    Raises:
+        ValueError: A name does not exist, or a value is not finite, has the wrong shape, or lies outside the bounds.
+    """
+    by_name = {spec.name: spec for spec in specs}
+    for name in values:
+        require(name in by_name, _unknown_name(name, list(by_name)))
+    return {name: _checked_value(by_name[name], value) for name, value in values.items()}
+
+
+def _checked_value(spec: DrawSpec, value: Any) -> Any:
+    """One substituted value as float64, of the shape and within the bounds of its name."""
+    try:
+        array = as_float64(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"Argument `{spec.name}` must be a number or an array, but is {value!r}.") from None
+    require_shape(spec.name, array, spec.shape, "as drawn in the scenario")
+    if is_traced(array):
+        return array
+    require_finite(spec.name, array)
+    if spec.levels:
+        allowed = ", ".join(map(show, spec.levels))
+        found = bool(np.all(np.isin(array, spec.levels)))
+        require(found, f"Argument `{spec.name}` must be one of {allowed}, but is {show(array)}.")
+    _require_inside(spec.name, array, spec.bounds, "Choose a value inside, or widen the bounds in the scenario.")
+    return array
+
+
+def _unknown_name(name: str, names: list[str]) -> str:
+    """The message for a name that does not exist, with the nearest that does."""
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f"; did you mean `{near[0]}`?" if near else "."
+    listed = ", ".join(f"`{n}`" for n in names) or "none"
+    return f"There is no name `{name}` in this study{hint} It has: {listed}."
+
+
+def _dependent_names(scenario: Callable[[Any], Any], specs: Sequence[DrawSpec]) -> set[str]:
+    """Names whose bounds depend on the values of others: what a traced call finds traced."""
+    draws = []
+
+    def trace(point: Array, values: dict[str, Array]) -> None:
+        draws.append(PointDraw(point, values))
+        scenario(draws[-1])
+
+    point = jax.ShapeDtypeStruct((dimension(specs),), np.float64)
+    values = {s.name: jax.ShapeDtypeStruct((), np.float64) for s in specs if s.kind == "parameter"}
+    jax.eval_shape(trace, point, values)
+    return draws[0].dependent
+
+
+class _Library(NamedTuple):
+    """The functions the inverse CDFs are written with."""
+
+    xp: ModuleType
+    ndtr: Callable[[Any], Any]
+    ndtri: Callable[[Any], Any]
+
+
+# What is not traced stays in NumPy: JAX would round it outside a 64-bit context, and compiles for seconds op by op
+_NUMPY = _Library(np, scipy.special.ndtr, scipy.special.ndtri)
+_JAX = _Library(jnp, jax.scipy.special.ndtr, jax.scipy.special.ndtri)
+
+
+def _evaluate(quantile: Callable[..., Any], u: Any, *arguments: Any) -> Any:
+    """The inverse CDF at `u`, by JAX if anything is traced."""
+    if is_traced(u, arguments):
+        return quantile(_JAX, _guarded(_JAX, u), *arguments)
+    return quantile(_NUMPY, _guarded(_NUMPY, np.asarray(u, dtype=np.float64)), *arguments)
+
+
+def _guarded(lib: _Library, u: Any) -> Any:
+    """`u` moved off the ends of (0, 1), where an inverse CDF may be infinite, to the nearest number inside."""
+    limits = jnp.finfo(u.dtype)
+    return lib.xp.clip(u, limits.tiny, 1 - limits.epsneg)
+
+
+def _uniform(lib: _Library, u: Any, low: Any, high: Any) -> Any:
+    """Inverse CDF as a weighted mean, which cannot overflow; clipped, since rounding may pass an end."""
+    return lib.xp.clip(low * (1 - u) + high * u, low, high)
+
+
+def _log_uniform(lib: _Library, u: Any, low: Any, high: Any) -> Any:
+    return lib.xp.clip(lib.xp.exp(lib.xp.log(low) * (1 - u) + lib.xp.log(high) * u), low, high)
+
+
+def _normal(lib: _Library, u: Any, mean: Any, std: Any) -> Any:
+    return mean + std * lib.ndtri(u)
+
+
+def _truncated_normal(lib: _Library, u: Any, mean: Any, std: Any, low: Any, high: Any) -> Any:
+    """Inverse CDF between the CDF at the ends, mirrored if need be into the lower tail, where it keeps its digits."""
+    a, b = (low - mean) / std, (high - mean) / std
+    is_upper = a + b > 0
+    p, q = lib.ndtr(lib.xp.where(is_upper, -b, a)), lib.ndtr(lib.xp.where(is_upper, -a, b))
+    v = lib.xp.where(is_upper, 1 - u, u)
+    z = lib.ndtri(_guarded(lib, p * (1 - v) + q * v))
+    return lib.xp.clip(mean + std * lib.xp.where(is_upper, -z, z), low, high)
+
+
+def _triangular(lib: _Library, u: Any, low: Any, mode: Any, high: Any) -> Any:
+    """Inverse CDF by its two branches; the root not taken gets 1, or its derivative at 0 would be NaN."""
+    is_left = u < (mode - low) / (high - low)
+    left = lib.xp.sqrt(lib.xp.where(is_left, u * (high - low) * (mode - low), 1.0))
+    right = lib.xp.sqrt(lib.xp.where(is_left, 1.0, (1 - u) * (high - low) * (high - mode)))
+    return lib.xp.clip(lib.xp.where(is_left, low + left, high - right), low, high)
+
+
+def _exponential(lib: _Library, u: Any, mean: Any) -> Any:
+    return -mean * lib.xp.log1p(-u)
+
+
+def _choice(lib: _Library, u: Any, values: Any) -> Any:
+    count = len(values)
+    return lib.xp.asarray(values)[lib.xp.minimum((u * count).astype(int), count - 1)]
+
+
+def _scalar(value: Any) -> Any:
+    """NumPy float64 (a scalar rather than an array without axes), or the tracer."""
+    return value if is_traced(value) else np.asarray(value, dtype=np.float64)[()]
+
+
+def _number(name: str, argument: str, value: Any) -> Any:
+    """An argument of a draw as float64: one finite number."""
+    require_shape(f"{argument}` of `{name}", value, (), "a single number")
+    require_finite(f"{argument}` of `{name}", value)
+    return as_float64(value)
+
+
+def _positive(name: str, argument: str, value: Any) -> Any:
+    """An argument of a draw as float64: one positive number."""
+    require_positive(f"{argument}` of `{name}", value)
+    return _number(name, argument, value)
+
+
+def _interval(name: str, low_argument: str, low: Any, high_argument: str, high: Any) -> tuple[Any, Any]:
+    """Two arguments of a draw as float64: the ends of an interval."""
+    low, high = _number(name, low_argument, low), _number(name, high_argument, high)
+    if not is_traced(low, high):
+        require(
+            bool(low < high),
+            f"Argument `{low_argument}` of `{name}` must be below `{high_argument}`, but is {show(low)} "
+            f"(`{high_argument}` is {show(high)}).",
+        )
+    return low, high
+
+
+def _require_inside(name: str, value: Any, bounds: tuple[Any, Any], advice: str = "") -> None:
+    """Raises unless every entry of `value` lies in the closed interval."""
+    low, high = bounds
+    message = f"Argument `{name}` must lie in [{show(low)}, {show(high)}], but is {show(value)}. {advice}"
+    require(bool(np.all((low <= value) & (value <= high))), message.rstrip())
+
+
+def _require_mass(name: str, mean: Any, std: Any, low: Any, high: Any) -> None:
+    """Raises if the interval is so far out in a tail that its probability underflows."""
+    distance = abs(np.clip(mean, low, high) - mean) / std
+    require(
+        bool(distance <= 37.0),
+        f"Argument `mean` of `{name}` must be within 37 standard deviations of [low, high], but is {distance:.6g} "
+        "away. Use another distribution.",
+    )
+
+
+def _require_coordinates(name: str, point: Any, needed: int) -> None:
+    """Raises if the point has too few coordinates."""
+    require(
+        needed <= point.shape[0],
+        f"Argument `point` must have at least {needed} coordinates when `{name}` is drawn, but has {point.shape[0]}. "
+        "A scenario must draw the same names, in the same order and of the same shapes, in every run.",
+    )
+
+
+def _require_new_name(name: Any, taken: Mapping[str, Any]) -> None:
+    """Raises unless `name` is a string that was not drawn before."""
+    require(
+        isinstance(name, str) and name != "", f"Argument `name` must be a string that is not empty, but is {name!r}."
+    )
+    require(name not in taken, f"Argument `name` must be new in the scenario, but is `{name}` a second time.")

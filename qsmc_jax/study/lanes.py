@@ -1,0 +1,126 @@
+"""The one place that vmaps: a block of runs as one program, compiled once per study."""
+
+import dataclasses
+import functools as ft
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.simulate.engine import pose, solve
+from qsmc_jax.simulate.figures import Figures
+from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.study.draw import PointDraw
+from qsmc_jax.study.runs import Runs
+from qsmc_jax.study.study import Study
+
+# Blocks of any multiple of this many lanes give bitwise the same rows, however the runs are cut into blocks.
+LANE_MULTIPLE = 64
+
+Program: TypeAlias = Callable[..., tuple[dict[str, Array], Figures]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Lanes:
+    """A program that solves a fixed number of runs of one study together.
+
+    Attributes:
+        study: The study.
+        settings: Method and tolerances.
+        count: Runs solved together, a multiple of 64.
+    """
+
+    study: Study
+    settings: SolverSettings
+    count: int
+
+    def __post_init__(self):
+        fits = self.count >= 1 and self.count % LANE_MULTIPLE == 0
+        require(fits, f"Argument `block` must be a positive multiple of {LANE_MULTIPLE}, but is {self.count}.")
+
+    def compile(self) -> Program:
+        """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
+        shapes = tuple((name, value.shape) for name, value in self._values().items())
+        s = self.settings
+        return _compiled(
+            self.study.scenario, shapes, self.study.dimension, self.count, (s.max_steps, s.method, s.coordinates)
+        )
+
+    def solve(self, indices: np.ndarray, points: Float[np.ndarray, "runs dim"]) -> Runs:
+        """The rows of up to `count` runs. Lanes left over repeat the first run and are dropped."""
+        filled = np.concatenate([points, np.repeat(points[:1], self.count - len(points), axis=0)])
+        program, bandwidth = self.compile(), np.float64(self.study.bandwidth)
+        with jax.enable_x64(True):
+            result = jax.device_get(program(filled, self._values(), bandwidth, self.settings.rtol, self.settings.atol))
+        return _table(self.study, indices, *result)
+
+    def _values(self) -> dict[str, np.ndarray]:
+        """Every parameter and every substituted name: data, so that no value is compiled in."""
+        parameters = {spec.name: spec.nominal for spec in self.study.specs if spec.kind == "parameter"}
+        return {name: np.asarray(value) for name, value in sorted({**parameters, **self.study.values}.items())}
+
+
+@ft.lru_cache(maxsize=64)
+def _compiled(
+    scenario: Callable[[Any], Any],
+    shapes: tuple[tuple[str, tuple[int, ...]], ...],
+    dim: int,
+    count: int,
+    static_settings: tuple[Any, ...],
+) -> Program:
+    """The block program for arguments of the given shapes."""
+    with jax.enable_x64(True):
+        number = jax.ShapeDtypeStruct((), np.float64)
+        points = jax.ShapeDtypeStruct((count, dim), np.float64)
+        values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
+        block = ft.partial(_block, scenario, static_settings)
+        return jax.jit(block).lower(points, values, number, number, number).compile()
+
+
+def _block(
+    scenario: Callable[[Any], Any],
+    static_settings: tuple[Any, ...],
+    points: Float[Array, "lanes dim"],
+    values: Mapping[str, Array],
+    bandwidth: Float[Array, ""],
+    rtol: Float[Array, ""],
+    atol: Float[Array, ""],
+) -> tuple[dict[str, Array], Figures]:
+    settings = SolverSettings(rtol, atol, *static_settings)
+    return jax.vmap(ft.partial(_run, scenario, settings, bandwidth, values))(points)
+
+
+def _run(
+    scenario: Callable[[Any], Any],
+    settings: SolverSettings,
+    bandwidth: Float[Array, ""],
+    values: Mapping[str, Array],
+    point: Float[Array, " dim"],
+) -> tuple[dict[str, Array], Figures]:
+    """One run: from a point of the unit cube to the values of its names and its figures."""
+    draw = PointDraw(point, values)
+    made = scenario(draw)
+    x0 = tuple(made.x0[i] for i in range(made.loop.order))
+    figures, _ = solve(pose(made.loop, bandwidth, settings), x0, jnp.asarray(made.t1), settings)
+    return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
+
+
+def _table(study: Study, indices: np.ndarray, record: Mapping[str, np.ndarray], figures: Figures) -> Runs:
+    """The rows of the runs asked for, drawn values first."""
+    rows = len(indices)
+    columns = {"index": np.asarray(indices, np.int64)}
+    for spec in study.specs:
+        flat = record[spec.name].reshape(len(record[spec.name]), -1)
+        columns.update({name: flat[:rows, i] for i, name in enumerate(spec.columns)})
+    names = tuple(columns)[1:]
+    for field in dataclasses.fields(figures):
+        value = getattr(figures, field.name)
+        if field.name == "peak_errors":
+            columns.update({f"peak_error[{i}]": peak[:rows] for i, peak in enumerate(value)})
+        else:
+            columns[field.name] = value[:rows]
+    return Runs(columns, names)

@@ -1,0 +1,70 @@
+"""The table of a study: one row a run, one column a name or a figure."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.simulate.outcome import Verdict
+
+CLAIMS = ("verdict", "verdict_reaching", "verdict_tracking")
+
+
+@dataclasses.dataclass(frozen=True)
+class Runs:
+    """Runs of a study as NumPy columns, a mapping from column name to array.
+
+    Columns: `index`; one for each drawn name (`mass`, `x0[0]`, `x0[1]`); and the `Figures` of the run, with `peak_error[i]` for each
+    error derivative. Verdicts are codes of `Verdict`, outcomes of `Outcome`.
+
+    Attributes:
+        columns: Arrays of one length, by column name.
+        names: The columns that hold drawn values.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    names: tuple[str, ...]
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        require(column in self.columns, f"There is no column `{column}`. There are: {', '.join(self.columns)}.")
+        return self.columns[column]
+
+    def __len__(self) -> int:
+        return len(self.columns["index"])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def take(self, rows: Any) -> "Runs":
+        """The rows that a NumPy index selects."""
+        return Runs({name: column[rows] for name, column in self.columns.items()}, self.names)
+
+    def row(self, i: int) -> dict[str, Any]:
+        """Row `i` as a dictionary of plain numbers."""
+        return {name: column[i].item() for name, column in self.columns.items()}
+
+    def counts(self, claim: str = "verdict") -> dict[Verdict, int]:
+        """How many runs have each verdict on a claim: `"verdict"`, `"verdict_reaching"` or `"verdict_tracking"`."""
+        return {verdict: int(np.sum(self[claim] == verdict)) for verdict in Verdict}
+
+    def __str__(self) -> str:
+        counts = ", ".join(f"{count} {verdict.name}" for verdict, count in self.counts().items() if count)
+        peak = self["peak_ratio"][np.isfinite(self["peak_ratio"])]
+        worst = f"; worst sup |sigma|/rho {peak.max():.6g}" if peak.size else ""
+        return f"{len(self)} runs, {len(self.columns)} columns: {counts or 'empty'}{worst}"
+
+
+def concatenate(tables: Sequence[Runs]) -> Runs:
+    """One table of several, in order; they must have the same columns."""
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    return Runs(columns, tables[0].names)
+
+
+def replace_rows(runs: Runs, rows: np.ndarray, new: Runs) -> Runs:
+    """The table with the given rows replaced."""
+    columns = {name: column.copy() for name, column in runs.columns.items()}
+    for name, column in columns.items():
+        column[rows] = new[name]
+    return Runs(columns, runs.names)

@@ -1,0 +1,188 @@
+"""Points of the unit cube, one a run: independent, or spread more evenly.
+
+A point is a pure function of (design, seed, index), whatever other indices are asked for: any run can be done again
+alone.
+"""
+
+import abc
+import functools as ft
+from collections.abc import Sequence
+from typing import ClassVar, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Float, Key, UInt32
+from scipy.stats import qmc
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.base.module import AbstractModule
+
+Indices: TypeAlias = Sequence[int] | np.ndarray
+
+_BLOCK = 1024
+_HALF_CELL = 2.0**-53  # `jr.uniform` gives multiples of 2**-52; their cells' midpoints lie in the open interval
+_SOBOL_BITS = 32  # SciPy's `fast_forward` fails for more
+
+
+class AbstractSampling(AbstractModule):
+    """A way of placing the runs of a study in the unit cube."""
+
+    is_independent: eqx.AbstractClassVar[bool]
+    why_not: eqx.AbstractClassVar[str]  # why no exact interval holds and what to do; empty if it does
+
+    @abc.abstractmethod
+    def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
+        """The points of the given runs.
+
+        Args:
+            seed: Seed of the whole design, 0 <= seed < 2**63.
+            indices: Indices of the runs, in any order, 0 <= index < 2**63 unless the design has fewer points.
+            dim: Coordinates a point, 0 or more.
+
+        Returns:
+            One row a run, in the order of `indices`; every coordinate lies strictly between 0 and 1.
+        """
+
+
+class Random(AbstractSampling):
+    """Independent, uniform points: run i uses `fold_in(key(seed), i)`.
+
+    The generator is Threefry-2x32 whatever JAX's default is. An index of 2**32 or more is folded in as two words, the
+    low one first.
+    """
+
+    is_independent: ClassVar[bool] = True
+    why_not: ClassVar[str] = ""
+
+    def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
+        wanted = _checked_indices(seed, indices, 2**63)
+        padded = np.resize(wanted, -(-wanted.size // _BLOCK) * _BLOCK).reshape(-1, _BLOCK)
+        with jax.enable_x64(True), jax.threefry_partitionable(True):
+            key = jr.key(seed, impl="threefry2x32")
+            blocks = [_random_block(key, *_words(block), dim) for block in padded]
+        return np.concatenate([np.empty((0, dim)), *blocks])[: wanted.size]
+
+
+class Sobol(AbstractSampling):
+    """Scrambled Sobol points: far more even than random ones, which sharpens means and plots.
+
+    2**32 points at most. Best with a power of two of runs, from index 0 on.
+
+    Source: Owen's scrambling by linear matrix and digital shift, as in `scipy.stats.qmc.Sobol`.
+    """
+
+    is_independent: ClassVar[bool] = False
+    why_not: ClassVar[str] = (
+        "Sobol points are not independent, so no exact interval holds; use `Random()` for a certificate."
+    )
+
+    def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
+        wanted = _checked_indices(seed, indices, 2**_SOBOL_BITS)
+        if wanted.size == 0 or dim == 0:
+            return np.empty((wanted.size, dim))
+        require(
+            dim <= qmc.Sobol.MAXDIM,
+            f"Argument `dim` must be at most {qmc.Sobol.MAXDIM} for `Sobol`, but is {dim}. Use `Random()`.",
+        )
+        first, columns = _sobol_generators(seed, dim, int(wanted.max()).bit_length())
+        gray = wanted ^ (wanted >> 1)
+        numbers = np.tile(first, (wanted.size, 1))
+        for bit, column in enumerate(columns):
+            numbers ^= np.where((gray >> bit & 1)[:, None] == 1, column, 0)
+        return (numbers + 0.5) * 2.0**-_SOBOL_BITS
+
+
+class LatinHypercube(AbstractSampling):
+    """A Latin hypercube: in every coordinate each of the `runs` equal slices holds exactly one point.
+
+    The slices depend on the size of the design, which must be known up front: it can't be extended, and the whole of it
+    is made (and the last one kept) to give any one point. Strength 1: single coordinates are balanced, not pairs.
+
+    Attributes:
+        runs: Size of the design.
+
+    Source: `scipy.stats.qmc.LatinHypercube`.
+    """
+
+    runs: int = eqx.field(static=True)
+
+    is_independent: ClassVar[bool] = False
+    why_not: ClassVar[str] = (
+        "Points of a Latin hypercube are not independent, so no exact interval holds; use `Random()` for a certificate."
+    )
+
+    def __check_init__(self):
+        require(self.runs >= 1, f"Argument `runs` must be at least 1, but is {self.runs}.")
+
+    def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
+        wanted = _checked_indices(seed, indices, self.runs)
+        return _latin_hypercube(seed, self.runs, dim)[wanted]
+
+
+@eqx.filter_jit
+def _random_block(key: Key[Array, ""], low: UInt32[Array, " runs"], high: UInt32[Array, " runs"], dim: int) -> Array:
+    """A block of independent points; one trace a dimension."""
+    return jax.vmap(lambda lo, hi: _random_point(key, lo, hi, dim))(low, high)
+
+
+def _random_point(
+    key: Key[Array, ""], low: UInt32[Array, ""], high: UInt32[Array, ""], dim: int
+) -> Float[Array, " dim"]:
+    """The point of the run with index `low + 2**32 * high`."""
+    first = jr.fold_in(key, low)
+    run_key = jnp.where(high == 0, first, jr.fold_in(first, high))
+    return jr.uniform(run_key, (dim,), np.float64) + _HALF_CELL
+
+
+def _words(indices: np.ndarray) -> tuple[UInt32[Array, " runs"], UInt32[Array, " runs"]]:
+    """Low and high 32 bits."""
+    return jnp.asarray(indices & 0xFFFFFFFF, jnp.uint32), jnp.asarray(indices >> 32, jnp.uint32)
+
+
+@ft.lru_cache(maxsize=16)
+def _sobol_generators(seed: int, dim: int, bits: int) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Point 0 and what each of the lowest `bits` bits of an index's Gray code flips in it, as 32-bit integers.
+
+    A scrambled Sobol sequence is linear over bits, and the Gray code of 2**k is bits k and k - 1: so points 0, 1, 2, 4,
+    8 ... give every other point, without walking to it.
+    """
+    engine = qmc.Sobol(dim, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(seed))
+    first = _next_integers(engine)
+    column = np.zeros_like(first)
+    columns = []
+    for bit in range(bits):
+        engine.fast_forward(2**bit - engine.num_generated)
+        column = _next_integers(engine) ^ first ^ column
+        columns.append(column)
+    return first, columns
+
+
+def _next_integers(engine: qmc.Sobol) -> np.ndarray:
+    """The next point times 2**32, which is whole."""
+    return (engine.random(1)[0] * 2.0**_SOBOL_BITS).astype(np.int64)
+
+
+@ft.lru_cache(maxsize=1)
+def _latin_hypercube(seed: int, runs: int, dim: int) -> np.ndarray:
+    """The whole design; SciPy's points may touch 1."""
+    if dim == 0:
+        return np.empty((runs, 0))
+    points = qmc.LatinHypercube(dim, rng=np.random.default_rng(seed)).random(runs)
+    return np.clip(points, _HALF_CELL, 1.0 - _HALF_CELL)
+
+
+def _checked_indices(seed: int, indices: Indices, limit: int) -> np.ndarray:
+    """The indices as int64."""
+    require(0 <= seed < 2**63, f"Argument `seed` must be in [0, 2**63), but is {seed}.")
+    array = np.asarray(indices) if len(indices) else np.empty(0, np.int64)
+    require(
+        array.ndim == 1 and array.dtype.kind in "iu",
+        f"Argument `indices` must be a one-dimensional list of integers below 2**63, but has shape {array.shape} and "
+        f"type {array.dtype}.",
+    )
+    for index in (int(array.min(initial=0)), int(array.max(initial=0))):
+        require(0 <= index < limit, f"Argument `indices` must be in [0, {limit}) for this design, but has {index}.")
+    return array.astype(np.int64)

@@ -1,0 +1,147 @@
+"""A study: scenarios drawn from the unit cube, and the bandwidth they are judged by."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require, require_finite
+from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import Draw
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulate.trajectory import Trajectory, check_start, simulate
+from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
+from qsmc_jax.study.sampling import AbstractSampling, Random
+
+
+class Scenario(AbstractModule):
+    """One run to be made: a loop, its start and its horizon.
+
+    Attributes:
+        loop: The closed loop.
+        x0: The start, n numbers.
+        t1: The horizon [s], positive.
+
+    Raises:
+        ValueError: `x0` does not fit the plant, or a number is not finite, or `t1` is not positive.
+    """
+
+    loop: ClosedLoop
+    x0: Float[Array, " n"] = float_field()
+    t1: Float[Array, ""] = float_field()
+
+    def __check_init__(self):
+        check_start(self.loop, self.x0, self.t1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Study:
+    """A scenario function, the names it draws, and the bandwidth of quasi-sliding mode.
+
+    Everything one may ask of it, Monte Carlo, replay, sweeps or tuning, is a choice of values for its names.
+
+    Attributes:
+        scenario: A function `scenario(draw) -> Scenario`, pure and traceable by JAX.
+        bandwidth: Bandwidth epsilon, rho_inf < epsilon < rho0 (C2), in units of the sliding variable.
+        values: Numbers substituted for names, by name; see `substitute`.
+        specs: What is known of each name; found by calling the scenario.
+        nominal: The scenario with every distribution at its median.
+
+    Raises:
+        ValueError: The scenario is not one, a name or value is wrong, or the nominal loop breaks C2.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     funnel = qj.Funnel(rho0=4.0, mu=draw.parameter("mu", 3.0, bounds=(0.5, 10.0)), rho_inf=0.05)
+        ...     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), funnel)
+        ...     plant = qj.plants.InvertedPendulum(mass=draw.uniform("mass", 0.008, 0.012))
+        ...     loop = qj.ClosedLoop(plant, qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Zero(), control)
+        ...     return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=20.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> [spec.name for spec in study.specs]
+        ['mu', 'mass', 'x0']
+    """
+
+    scenario: Callable[[Draw], Scenario]
+    bandwidth: float
+    values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    specs: tuple[DrawSpec, ...] = dataclasses.field(init=False)
+    nominal: Scenario = dataclasses.field(init=False)
+
+    def __post_init__(self):
+        require(
+            callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}."
+        )
+        require_finite("bandwidth", self.bandwidth)
+        specs, _ = discover(self.scenario)
+        values = check_values(specs, self.values)
+        nominal = self._at(None, values)
+        nominal.loop.control.funnel.check_bandwidth(self.bandwidth)
+        for name, value in {"specs": specs, "values": values, "nominal": nominal}.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def dimension(self) -> int:
+        """Coordinates of the unit cube that a run takes."""
+        return dimension(self.specs)
+
+    def substitute(self, **values: Any) -> "Study":
+        """The same study with the given names fixed: parameters at other values, or distributions at a number.
+
+        Another value of the same names does not recompile.
+
+        Raises:
+            ValueError: A name does not exist (the nearest is suggested), or a value lies outside its bounds.
+        """
+        return Study(self.scenario, self.bandwidth, {**self.values, **values})
+
+    def replay(
+        self,
+        index: int,
+        seed: int = 0,
+        *,
+        sampling: AbstractSampling | None = None,
+        ts: Float[np.ndarray, " times"] | None = None,
+        settings: SolverSettings | None = None,
+    ) -> Trajectory:
+        """Solves run `index` of a Monte Carlo study again, in full.
+
+        Args:
+            index: Index of the run, as in the column `index`.
+            seed: Seed of the study.
+            sampling: Sampling of the study; None for `Random()`.
+            ts: Times [s] at which to give the signals; None for 2001 evenly spaced.
+            settings: Method and tolerances; None for the defaults.
+        """
+        point = (sampling or Random()).points(seed, [index], self.dimension)[0]
+        return self._simulate(self._at(point, self.values), ts, settings)
+
+    def simulate(
+        self, *, ts: Float[np.ndarray, " times"] | None = None, settings: SolverSettings | None = None
+    ) -> Trajectory:
+        """Solves the nominal run: parameters as substituted, distributions at their medians."""
+        return self._simulate(self.nominal, ts, settings)
+
+    def _simulate(self, scenario: Scenario, ts: Any, settings: SolverSettings | None) -> Trajectory:
+        return simulate(
+            scenario.loop, scenario.x0, scenario.t1, bandwidth=self.bandwidth, ts=ts, settings=settings
+        )
+
+    def _at(self, point: np.ndarray | None, values: Mapping[str, Any]) -> Scenario:
+        result = _call(self.scenario, PointDraw(point, values))
+        found = type(result).__name__
+        require(
+            isinstance(result, Scenario),
+            f"Argument `scenario` must return a `Scenario(loop, x0, t1)`, but returns a `{found}`.",
+        )
+        return result
+
+
+@entry_point
+def _call(scenario: Callable[[Any], Any], draw: PointDraw) -> Any:
+    return scenario(draw)

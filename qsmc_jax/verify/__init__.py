@@ -1,0 +1,1 @@
+"""Verification: verdicts counted into exact intervals."""
