@@ -3,26 +3,101 @@
 See `simulate` for one run, `Study` and `monte_carlo` for many, `verify` for a verdict with its confidence.
 """
 
-from qsmc_jax.control.funnel import Funnel as Funnel
-from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
-from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
-from qsmc_jax.loop import ClosedLoop as ClosedLoop
-from qsmc_jax.model import disturbances as disturbances
-from qsmc_jax.model import plants as plants
-from qsmc_jax.model import references as references
-from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
-from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
-from qsmc_jax.model.references import AbstractReference as AbstractReference
-from qsmc_jax.simulate.figures import Figures as Figures
-from qsmc_jax.simulate.outcome import Outcome as Outcome
-from qsmc_jax.simulate.outcome import Verdict as Verdict
-from qsmc_jax.simulate.settings import SolverSettings as SolverSettings
-from qsmc_jax.simulate.trajectory import Trajectory as Trajectory
-from qsmc_jax.simulate.trajectory import simulate as simulate
-from qsmc_jax.study.monte_carlo import monte_carlo as monte_carlo
-from qsmc_jax.study.runs import Runs as Runs
-from qsmc_jax.study.sampling import LatinHypercube as LatinHypercube
-from qsmc_jax.study.sampling import Random as Random
-from qsmc_jax.study.sampling import Sobol as Sobol
-from qsmc_jax.study.study import Scenario as Scenario
-from qsmc_jax.study.study import Study as Study
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from qsmc_jax import paper as paper
+    from qsmc_jax.control.funnel import Funnel as Funnel
+    from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
+    from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
+    from qsmc_jax.loop import ClosedLoop as ClosedLoop
+    from qsmc_jax.model import disturbances as disturbances
+    from qsmc_jax.model import plants as plants
+    from qsmc_jax.model import references as references
+    from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
+    from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
+    from qsmc_jax.model.references import AbstractReference as AbstractReference
+    from qsmc_jax.simulate.figures import Figures as Figures
+    from qsmc_jax.simulate.outcome import Outcome as Outcome
+    from qsmc_jax.simulate.outcome import Verdict as Verdict
+    from qsmc_jax.simulate.settings import SolverSettings as SolverSettings
+    from qsmc_jax.simulate.settings import tight as tight
+    from qsmc_jax.simulate.trajectory import Trajectory as Trajectory
+    from qsmc_jax.simulate.trajectory import simulate as simulate
+    from qsmc_jax.study.monte_carlo import monte_carlo as monte_carlo
+    from qsmc_jax.study.monte_carlo import stream as stream
+    from qsmc_jax.study.runs import Runs as Runs
+    from qsmc_jax.study.sampling import LatinHypercube as LatinHypercube
+    from qsmc_jax.study.sampling import Random as Random
+    from qsmc_jax.study.sampling import Sobol as Sobol
+    from qsmc_jax.study.study import Scenario as Scenario
+    from qsmc_jax.study.study import Study as Study
+    from qsmc_jax.verify.statistics import runs_needed as runs_needed
+    from qsmc_jax.verify.verification import Verification as Verification
+    from qsmc_jax.verify.verify import verify as verify
+
+# Names are loaded on first use, so that `qsmc --help` need not wait for JAX. A test holds this table against the imports above.
+_HOMES = {
+    "Funnel": "qsmc_jax.control.funnel",
+    "QuasiSlidingControl": "qsmc_jax.control.law",
+    "SlidingSurface": "qsmc_jax.control.surface",
+    "ClosedLoop": "qsmc_jax.loop",
+    "AbstractDisturbance": "qsmc_jax.model.disturbances",
+    "AbstractPlant": "qsmc_jax.model.plants",
+    "AbstractReference": "qsmc_jax.model.references",
+    "Figures": "qsmc_jax.simulate.figures",
+    "Outcome": "qsmc_jax.simulate.outcome",
+    "Verdict": "qsmc_jax.simulate.outcome",
+    "SolverSettings": "qsmc_jax.simulate.settings",
+    "tight": "qsmc_jax.simulate.settings",
+    "Trajectory": "qsmc_jax.simulate.trajectory",
+    "simulate": "qsmc_jax.simulate.trajectory",
+    "monte_carlo": "qsmc_jax.study.monte_carlo",
+    "stream": "qsmc_jax.study.monte_carlo",
+    "Runs": "qsmc_jax.study.runs",
+    "LatinHypercube": "qsmc_jax.study.sampling",
+    "Random": "qsmc_jax.study.sampling",
+    "Sobol": "qsmc_jax.study.sampling",
+    "Scenario": "qsmc_jax.study.study",
+    "Study": "qsmc_jax.study.study",
+    "runs_needed": "qsmc_jax.verify.statistics",
+    "Verification": "qsmc_jax.verify.verification",
+    "verify": "qsmc_jax.verify.verify",
+}
+_NAMESPACES = {
+    "disturbances": "qsmc_jax.model.disturbances",
+    "paper": "qsmc_jax.paper",
+    "plants": "qsmc_jax.model.plants",
+    "references": "qsmc_jax.model.references",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _NAMESPACES:
+        value = importlib.import_module(_NAMESPACES[name])
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+    else:
+        raise AttributeError(f"module `qsmc_jax` has no attribute `{name}`")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES, *_NAMESPACES})
+
+
+class _Package(ModuleType):
+    """Keeps the verbs `simulate` and `verify` when the subpackages of these names are imported, in whatever order."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _HOMES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import jax
+
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, State
@@ -49,8 +51,8 @@ class ClosedLoop(AbstractModule):
         order, has = self.plant.order, self.control.surface.order
         require(
             order == has,
-            f"Argument `c` of the sliding surface must have {order - 1} coefficients for a plant of order {order}, but has "
-            f"{has - 1}. `SlidingSurface.binomial(a, {order})` makes a fitting one.",
+            f"Argument `c` of the sliding surface must have {order - 1} coefficients for a plant of order {order}, but "
+            f"has {has - 1}. `SlidingSurface.binomial(a, {order})` makes a fitting one.",
         )
 
     @property
@@ -75,7 +77,7 @@ class ClosedLoop(AbstractModule):
         return self.control(self.sliding_variable(t, x), self.control.funnel(t))
 
     def balance(self, t: RealScalarLike, x: State, desired: State) -> Balance:
-        """The terms of the sliding variable's derivative; `desired` is `self.desired(t)`, which callers have at hand."""
+        """The terms of the sliding variable's derivative; `desired` is `self.desired(t)`, which callers have."""
         d = self.disturbance(t)
         errors = [xi - di for xi, di in zip(x, desired, strict=False)]
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
@@ -86,3 +88,15 @@ class ClosedLoop(AbstractModule):
         plant = self.plant
         last = plant.drift(t, x) + plant.gain(t, x) * self.input(t, x) + self.disturbance(t)
         return (*x[1:], last)
+
+
+def _require_scalar(plant: AbstractPlant, method: str) -> None:
+    """Raises unless a method of the plant returns one number for a state of its order."""
+    number = jax.ShapeDtypeStruct((), float)
+    result = jax.eval_shape(getattr(plant, method), number, (number,) * plant.order)
+    shape = getattr(result, "shape", None)
+    require(
+        shape == (),
+        f"`{method}` of `{type(plant).__name__}` must return one number, but returns "
+        f"{f'shape {shape}' if shape is not None else type(result).__name__}. Index the state: x[0] ... x[{plant.order - 1}].",
+    )

@@ -7,35 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import integrate, stats
 
-from qsmc_jax.base.types import Draw
+from fake_draw import FakeDraw
 from qsmc_jax.model import disturbances as qd
 
 PI = math.pi
 ROUNDING = 1e-12
-
-
-class FakeDraw(Draw):
-    """A seeded source of named numbers that records what it was asked."""
-
-    def __init__(self, seed=0):
-        self.rng = np.random.default_rng(seed)
-        self.names = []
-
-    def _named(self, name, value):
-        self.names.append(name)
-        return value
-
-    def uniform(self, name, low, high, *, shape=()):
-        return self._named(name, low + (high - low) * self.rng.uniform(size=shape))
-
-    def log_uniform(self, name, low, high, *, shape=()):
-        return self._named(name, np.exp(self.rng.uniform(math.log(low), math.log(high), shape)))
-
-    def exponential(self, name, mean, *, shape=()):
-        return self._named(name, self.rng.exponential(mean, shape))
 
 
 BUILDERS = {

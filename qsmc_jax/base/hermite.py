@@ -1,7 +1,7 @@
 """The cubic Hermite interpolant of one step, on the unit interval, and where it turns.
 
-A step of an adaptive solver knows the value and the slope at both ends. Figures such as a supremum are read off this cubic,
-never off a save grid. Slopes are per step: `m = h * dy/dt`.
+A step of an adaptive solver knows the value and the slope at both ends. Figures such as a supremum are read off this
+cubic, never off a save grid. Slopes are per step: `m = h * dy/dt`.
 """
 
 from typing import NamedTuple
@@ -37,7 +37,7 @@ class Cubic(NamedTuple):
         return m0 + theta * (2.0 * b + theta * 3.0 * a)
 
     def turning_points(self) -> tuple[RealScalarLike, RealScalarLike]:
-        """Where the cubic turns, in order, clipped to [0, 1]; an end of the interval stands for a turn that isn't there.
+        """Where the cubic turns, in order, clipped to [0, 1]; an end of the interval stands for a missing turn.
 
         Gradients do not pass through: at an extremum the value does not depend on the place to first order.
         """
@@ -60,14 +60,14 @@ class Cubic(NamedTuple):
 
 
 class Quintic(NamedTuple):
-    r"""$p(\theta)$, $\theta \in [0, 1]$, with values y, slopes m and second derivatives q given at both ends, per step."""
+    r"""$p(\theta)$, $\theta \in [0, 1]$, with values y, slopes m and second derivatives q at both ends, per step."""
 
     ends: Cubic
     q0: RealScalarLike
     q1: RealScalarLike
 
     def __call__(self, theta: RealScalarLike) -> RealScalarLike:
-        """The value at `theta`: the cubic, and what the second derivatives add, which vanishes to second order at both ends."""
+        """The value at `theta`: the cubic, and what the second derivatives add, flat to first order at both ends."""
         a, b, _ = self.ends.coefficients()
         lack0, lack1 = self.q0 - 2.0 * b, self.q1 - 2.0 * b - 6.0 * a
         hump = 0.5 * theta * theta * (1.0 - theta) ** 2

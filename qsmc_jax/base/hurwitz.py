@@ -2,12 +2,13 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import is_traced
+from qsmc_jax.base.types import BoolScalarLike
 
 
-def is_hurwitz(c: Float[Array | np.ndarray, " c"]) -> Bool[ArrayLike, ""]:
+def is_hurwitz(c: Float[Array | np.ndarray, " c"]) -> BoolScalarLike:
     r"""Whether every root of $s^m + c_m s^{m-1} + \dots + c_1$ has a negative real part.
 
     A root on the imaginary axis fails.

@@ -3,7 +3,8 @@
 from typing import Any
 
 # Okabe and Ito's palette, safe for colour-blind readers.
-BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#555555"
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+PURPLE, SKY, GREY = "#CC79A7", "#56B4E9", "#555555"
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
 
 

@@ -4,20 +4,22 @@ Axes: `n` state components, `c` surface coefficients (`n - 1`), `terms` summands
 which a signal jumps or kinks, `times` a time grid, `runs` Monte Carlo runs, `lanes` runs solved together in a block,
 `dim` coordinates of the unit cube.
 
-Models are written for one trajectory and one instant: a state is a tuple of scalars, indexed `x[0] ... x[n - 1]`, because
-XLA turns scalars under `vmap` into well-vectorised loops, and small stacked vectors into poor ones.
+Models are written for one trajectory and one instant: a state is a tuple of scalars, indexed `x[0] ... x[n - 1]`,
+because XLA turns scalars under `vmap` into well-vectorised loops, and small stacked vectors into poor ones.
 """
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from jaxtyping import Array, ArrayLike, Real
+from jaxtyping import Array, ArrayLike, Bool, Real
 
 if TYPE_CHECKING:
     RealScalarLike: TypeAlias = Array | np.ndarray | float
+    BoolScalarLike: TypeAlias = Array | np.ndarray
 else:
     RealScalarLike: TypeAlias = Real[ArrayLike, ""]
+    BoolScalarLike: TypeAlias = Bool[ArrayLike, ""]
 
 State: TypeAlias = Sequence[Any]
 

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Complex, Float
+from jaxtyping import Array, Complex, Float
 
 from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.hermite import Cubic
@@ -39,7 +39,7 @@ _NODES, _WEIGHTS = (0.5 * (v + shift) for v, shift in zip(np.polynomial.legendre
 
 
 @entry_point
-def peak_gains(c: Float[Array | np.ndarray, " c"], points: int | None = None) -> Float[ArrayLike, " n"]:
+def peak_gains(c: Float[Array | np.ndarray, " c"], points: int | None = None) -> Float[Array | np.ndarray, " n"]:
     r"""The peak gains $\|G_i\|_1$ [s^{n-1-i}], i = 0 ... n - 1, of the errors over the sliding variable.
 
     Args:

@@ -2,12 +2,12 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import is_traced, require, require_positive, show
 from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 
 
 class Funnel(AbstractModule):
@@ -40,7 +40,7 @@ class Funnel(AbstractModule):
         return excess + self.rho_inf, -self.mu * excess
 
     @entry_point
-    def reaching_time(self, bandwidth: RealScalarLike) -> Float[ArrayLike, ""]:
+    def reaching_time(self, bandwidth: RealScalarLike) -> RealScalarLike:
         r"""The time $t_r = \frac{1}{\mu}\ln\frac{\rho_0}{\varepsilon - \rho_\infty}$ [s] that the funnel needs.
 
         Args:
@@ -57,11 +57,11 @@ class Funnel(AbstractModule):
         time = jnp.log(self.rho0 / jnp.where(reached, excess, self.rho0)) / self.mu
         return jnp.where(reached, jnp.maximum(time, 0.0), jnp.inf)
 
-    def admits(self, bandwidth: RealScalarLike) -> Bool[ArrayLike, ""]:
+    def admits(self, bandwidth: RealScalarLike) -> BoolScalarLike:
         r"""Whether the numbers are positive and condition C2 holds, strictly: $\rho_\infty < \varepsilon < \rho_0$."""
         return self.is_valid() & (self.rho_inf < bandwidth) & (bandwidth < self.rho0)
 
-    def is_valid(self) -> Bool[ArrayLike, ""]:
+    def is_valid(self) -> BoolScalarLike:
         """Whether the three numbers are positive: what the constructor checks, for traced ones."""
         return (self.rho0 > 0) & (self.mu > 0) & (self.rho_inf > 0)
 

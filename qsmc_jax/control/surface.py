@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Complex, Float
+from jaxtyping import Array, ArrayLike, Complex, Float
 
 from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive
 from qsmc_jax.base.hurwitz import is_hurwitz
 from qsmc_jax.base.module import AbstractModule, float_field
-from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.control.error_bounds import error_envelope, peak_gains, poles
 from qsmc_jax.control.funnel import Funnel
 
@@ -79,11 +79,11 @@ class SlidingSurface(AbstractModule):
         """The roots of p [1/s]; numbers only, not traced."""
         return poles(np.asarray(self.c))
 
-    def is_hurwitz(self) -> Bool[ArrayLike, ""]:
+    def is_hurwitz(self) -> BoolScalarLike:
         """Whether every root of p has a negative real part; a root on the imaginary axis fails. Works on traced `c`."""
         return is_hurwitz(self.c)
 
-    def error_bounds(self, bandwidth: RealScalarLike) -> Float[ArrayLike, " n"]:
+    def error_bounds(self, bandwidth: RealScalarLike) -> Float[Array | np.ndarray, " n"]:
         r"""The sharp bounds $\varepsilon \|G_i\|_1$ that $|\sigma| \le \varepsilon$ leaves in the end on $|e^{(i)}|$.
 
         They hold for any Hurwitz c, and no smaller number does. Traced `c`: see `peak_gains`.

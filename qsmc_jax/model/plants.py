@@ -15,8 +15,8 @@ from qsmc_jax.base.types import RealScalarLike, State
 class AbstractPlant(AbstractModule):
     r"""A plant $\dot x_i = x_{i+1}$ ($i < n$), $\dot x_n = f(t, x) + g(t, x) u + d(t)$, $y = x_1$.
 
-    Subclass it with a class attribute `order` (n >= 1) and the two methods; write them with `jax.numpy`. The controller never
-    sees them: it knows the sign of g only.
+    Subclass it with a class attribute `order` (n >= 1) and the two methods; write them with `jax.numpy`. The controller
+    never sees them: it knows the sign of g only.
 
     Source: paper, eq. (1); the paper has f(x) and g(x), time is added for drifting parameters.
     """

@@ -78,7 +78,7 @@ class SumOfSines(AbstractReference):
     def __init__(self, amplitudes: Any, frequencies: Any, phases: Any = None, offset: Any = 0.0):
         self.amplitudes = as_float64(amplitudes)
         self.frequencies = as_float64(frequencies)
-        self.phases = np.zeros(np.shape(self.amplitudes)) if phases is None else as_float64(phases)
+        self.phases = as_float64(np.zeros(np.shape(self.amplitudes)) if phases is None else phases)
         self.offset = as_float64(offset)
 
     def __check_init__(self):

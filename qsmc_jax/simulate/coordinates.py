@@ -43,8 +43,9 @@ class FunnelCoordinates(AbstractCoordinates):
     r"""$y = (x_1, \dots, x_{n-1}, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$, the inverse Gudermannian.
 
     In it the law is $u = -\operatorname{sgn}(g) \sinh s$ and
-    $\dot s = \cosh s \, [\frac{\pi}{2\rho} (w + g u) - \operatorname{gd}(s) \dot\rho / \rho]$, smooth everywhere: no pole to step over,
-    and a loop that leaves the funnel shows as $|s| \to \infty$ in finite time. It is the same equation, not a way to enforce the claim.
+    $\dot s = \cosh s \, [\frac{\pi}{2\rho} (w + g u) - \operatorname{gd}(s) \dot\rho / \rho]$, smooth everywhere: no
+    pole to step over, and a loop that leaves the funnel shows as $|s| \to \infty$ in finite time. It is the same
+    equation, not a way to enforce the claim.
 
     Source: paper, eqs. (4) and (9), transformed.
     """

@@ -7,18 +7,21 @@ from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulate.coordinates import Scalars, named_coordinates
+from qsmc_jax.simulate.coordinates import named_coordinates
 from qsmc_jax.simulate.figures import Ending, Figures, read_figures
 from qsmc_jax.simulate.guarded_solver import GuardedSolver, Run
 from qsmc_jax.simulate.outcome import Outcome
 from qsmc_jax.simulate.settings import SolverSettings
 from qsmc_jax.simulate.tally import Problem, first_tally
 
-# The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends there.
+# The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends
+# there.
 _LEAST_STEP = 1e-15
-# The first step, relative to the horizon: small, so that no start is too stiff for it. It grows tenfold with every step kept.
+# The first step, relative to the horizon: small, so that no start is too stiff for it. It grows tenfold with every step
+# kept.
 _FIRST_STEP = 1e-6
 # Break times closer than this, relative to the horizon, are one and the same up to rounding.
 _SAME_TIME = 1e-13
@@ -38,7 +41,7 @@ def pose(loop: ClosedLoop, bandwidth: RealScalarLike, settings: SolverSettings) 
 
 def solve(
     problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None = None
-) -> tuple[Figures, Scalars | None]:
+) -> tuple[Figures, tuple[Array, ...] | None]:
     """Solves one run from time 0 to `t1`.
 
     Args:
@@ -51,6 +54,12 @@ def solve(
     Returns:
         The figures, and the coordinates at `ts` (n arrays; not finite after the end of a run that stopped early).
     """
+    return vectorised(_solve)(problem, x0, t1, settings, ts)
+
+
+def _solve(
+    problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
+) -> tuple[Figures, tuple[Array, ...] | None]:
     refused = _refusal(problem, x0)
     is_admitted = refused == Outcome.COMPLETED
     horizon = jnp.asarray(t1)
@@ -71,11 +80,11 @@ def solve(
         max_steps=settings.max_steps,
         throw=False,
     )
-    last, saved = solution.ys
+    last, saved = solution.ys  # pyright: ignore[reportGeneralTypeIssues]  # None only if nothing is saved
     ending = Ending(
         refused=refused,
         horizon=horizon,
-        end_time=solution.ts[0][0],
+        end_time=solution.ts[0][0],  # pyright: ignore[reportOptionalSubscript]
         run=trees.first(last),
         result=solution.result,
         first_height=run0.tally.peak.height,

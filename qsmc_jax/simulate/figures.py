@@ -1,23 +1,24 @@
 """From the end of a solve to what a user reads: outcome, verdict per claim, and the figures of one run."""
 
 import functools as ft
+from typing import Any
 
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.base.hermite import Cubic, Quintic
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.simulate.coordinates import Scalars
 from qsmc_jax.simulate.guarded_solver import Run
 from qsmc_jax.simulate.outcome import Outcome, Verdict
 from qsmc_jax.simulate.tally import OutsideStep, PeakStep, Problem
 
-# A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and the
-# input does not push back now nor then.
+# A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and
+# the input does not push back now nor then.
 _IMMINENT = 1e-9
 _BISECTIONS = 50
 
@@ -147,8 +148,8 @@ def _outcome(problem: Problem, ending: Ending) -> Int[Array, ""]:
     return code
 
 
-def _is_leaving(problem: Problem, ending: Ending) -> Bool[Array, ""]:
-    r"""Whether $|s| \to \infty$ within an instant: outward, at least that fast, and with an input that does not push back.
+def _is_leaving(problem: Problem, ending: Ending) -> BoolScalarLike:
+    r"""Whether $|s| \to \infty$ within an instant: outward, that fast, and with an input that does not push back.
 
     At speed $|\dot s|$ what is left to the edge, $\approx e^{-|s|}$ of the funnel, is gone after about $1 / |\dot s|$.
     """
@@ -173,8 +174,8 @@ def _verdicts(
 ) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
     """The verdicts on the three claims of Theorem 1. Later claims need the earlier ones, and C2.
 
-    Tracking is a limit: a run whose errors are outside at the end although reaching held has a transient that outlasts the
-    horizon, which decides nothing.
+    Tracking is a limit: a run whose errors are outside at the end although reaching held has a transient that outlasts
+    the horizon, which decides nothing.
     """
     is_refused = (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
     funnel = jnp.where(outcome == Outcome.COMPLETED, int(Verdict.HELD), int(Verdict.UNDECIDED))
@@ -194,8 +195,8 @@ def _verdicts(
 def _reach_time(outside: OutsideStep, bandwidth: RealScalarLike, end_time: RealScalarLike) -> Float[Array, ""]:
     """The last time with |sigma| >= bandwidth: 0 if there is none, inf if the run ends so.
 
-    In the last such step, |sigma| falls through the bandwidth on the last monotone piece that begins outside; a bisection
-    finds the place, and one Newton step from there carries the derivative.
+    In the last such step, |sigma| falls through the bandwidth on the last monotone piece that begins outside; a
+    bisection finds the place, and one Newton step from there carries the derivative.
     """
     sigma = outside.sigma
     low, high = sigma.turning_points()
@@ -204,7 +205,7 @@ def _reach_time(outside: OutsideStep, bandwidth: RealScalarLike, end_time: RealS
         begins_outside = jnp.abs(sigma(start)) >= bandwidth
         left, right = jnp.where(begins_outside, start, left), jnp.where(begins_outside, end, right)
 
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Any, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = 0.5 * (bracket[0] + bracket[1])
         is_outside = jnp.abs(sigma(middle)) >= bandwidth
         return jnp.where(is_outside, middle, bracket[0]), jnp.where(is_outside, bracket[1], middle)
@@ -254,7 +255,7 @@ def _s_rate_and_acceleration(
 
 
 def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike) -> Float[Array, ""]:
-    r"""The bound $\max(|u(0)|, (|w| + \mu(\rho - \rho_\infty)) / |g|)$ on sup|u|, with w, g, rho taken where the peak is.
+    r"""The bound $\max(|u(0)|, (|w| + \mu(\rho - \rho_\infty)) / |g|)$ on sup|u|, with w, g, rho as at the peak.
 
     Where |z| = |sigma|/rho peaks after the start its derivative is not negative outwards, so
     $\tan(\pi |z| / 2) \le (|w| + |\dot\rho|) / |g|$ there: sharper than the supremum over time, and it needs no search.

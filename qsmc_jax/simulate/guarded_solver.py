@@ -5,7 +5,6 @@ from typing import Any, ClassVar
 
 import diffrax as dfx
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -14,7 +13,8 @@ from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.simulate.coordinates import Scalars
 from qsmc_jax.simulate.tally import Problem, Step, Tally, add_step
 
-# |s| at which a run ends: 1 - |sigma|/rho = 1e-13, an input of 5e12. Only a loop whose input does not push back gets there.
+# |s| at which a run ends: 1 - |sigma|/rho = 1e-13, an input of 5e12. Only a loop whose input does not push back gets
+# there.
 ESCAPE = 30.0
 # |s| beyond which a candidate step is refused rather than kept: cosh(s) sinh(s) stays far from overflow.
 FARTHEST = 2.0 * ESCAPE
@@ -48,9 +48,9 @@ class _RunInterpolation(dfx.AbstractLocalInterpolation):
 class GuardedSolver(dfx.AbstractAdaptiveSolver):
     """Advances `y` by `method`, refuses what is not finite or too far out, and brings the tally up to date.
 
-    A refused candidate reports an infinite error and the old state. diffrax alone turns an infinite candidate into a NaN step
-    factor, and tries the same step for ever (0.7.2). The method must be one that knows the derivative at both ends of its step
-    (FSAL), as Tsit5 and Kvaerno5 do.
+    A refused candidate reports an infinite error and the old state. diffrax alone turns an infinite candidate into a
+    NaN step factor, and tries the same step for ever (0.7.2). The method must be one that knows the derivative at both
+    ends of its step (FSAL), as Tsit5 and Kvaerno5 do.
     """
 
     method: dfx.AbstractAdaptiveSolver
@@ -58,7 +58,9 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
     term_structure: ClassVar = dfx.AbstractTerm
 
     @property
-    def interpolation_cls(self) -> Callable[..., _RunInterpolation]:
+    def interpolation_cls(  # pyright: ignore[reportIncompatibleMethodOverride]  # diffrax's own wrapping solvers do so too
+        self,
+    ) -> Callable[..., _RunInterpolation]:
         def interpolation(*, t0: RealScalarLike, t1: RealScalarLike, inner: Any, tally: Tally) -> _RunInterpolation:
             return _RunInterpolation(inner=self.method.interpolation_cls(t0=t0, t1=t1, **inner), tally=tally)
 
@@ -74,7 +76,14 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         return self.method.init(_TERM, t0, t1, y0.y, args)
 
     def step(
-        self, terms: Any, t0: RealScalarLike, t1: RealScalarLike, y0: Run, args: Problem, solver_state: Any, made_jump: Any
+        self,
+        terms: Any,
+        t0: RealScalarLike,
+        t1: RealScalarLike,
+        y0: Run,
+        args: Problem,
+        solver_state: Any,
+        made_jump: Any,
     ) -> tuple[Run, Run, dict[str, Any], Any, dfx.RESULTS]:
         y1, error, dense, state, result = self.method.step(_TERM, t0, t1, y0.y, args, solver_state, made_jump)
         slopes = tuple(_over(stages, t1 - t0) for stages in dense["k"])

@@ -6,8 +6,9 @@ import enum
 class Verdict(enum.IntEnum):
     """What one run says about one claim of Theorem 1.
 
-    HELD and VIOLATED are findings. UNDECIDED means that the solve could not tell: it widens the interval both ways and is never
-    dropped. INADMISSIBLE means that a premise (a start inside the funnel, C2, a Hurwitz surface) does not hold in that run.
+    HELD and VIOLATED are findings. UNDECIDED means that the solve could not tell: it widens the interval both ways and
+    is never dropped. INADMISSIBLE means that a premise (a start inside the funnel, C2, a Hurwitz surface) does not hold
+    in that run.
     """
 
     HELD = 0
@@ -38,10 +39,12 @@ _ADVICE = {
     Outcome.LEFT_FUNNEL: "The sliding variable reached the funnel's edge where the input does not push back: look at "
     "`least_gain` (a wrong `gain_sign`, or a gain that vanishes) for the broken premise.",
     Outcome.STARTED_OUTSIDE: "The start is not inside the funnel, |sigma(0)| >= rho(0): enlarge `rho0` or move `x0`.",
-    Outcome.BAD_PARAMETERS: "A drawn parameter breaks a premise: rho0, mu and rho_inf must be positive, and the surface Hurwitz.",
-    Outcome.MAX_STEPS: 'Gave up after `max_steps` steps. Try a larger `max_steps`, or `method="kvaerno5"` for a stiff loop.',
-    Outcome.STEP_TOO_SMALL: "The step size fell to the resolution of time: the drift, gain, reference or disturbance is not finite, or "
-    "jumps at a time that is not among `break_times`.",
-    Outcome.BEYOND_RESOLUTION: "Came closer to the funnel's edge than float64 resolves, with the input still pushing back: the "
-    "disturbance or drift is huge against the gain.",
+    Outcome.BAD_PARAMETERS: "A drawn parameter breaks a premise: rho0, mu and rho_inf must be positive, and the "
+    "surface Hurwitz.",
+    Outcome.MAX_STEPS: 'Gave up after `max_steps` steps. Try a larger `max_steps`, or `method="kvaerno5"` for a '
+    "stiff loop.",
+    Outcome.STEP_TOO_SMALL: "The step size fell to the resolution of time: the drift, gain, reference or disturbance "
+    "is not finite, or jumps at a time that is not among `break_times`.",
+    Outcome.BEYOND_RESOLUTION: "Came closer to the funnel's edge than float64 resolves, with the input still pushing "
+    "back: the disturbance or drift is huge against the gain.",
 }

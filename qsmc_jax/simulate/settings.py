@@ -21,8 +21,9 @@ class SolverSettings(AbstractModule):
         atol: Absolute tolerance, positive; `None` stands for `rtol / 100`.
         max_steps: Steps, kept or not, after which a run is given up as UNDECIDED; at least 1.
         method: `"tsit5"` (explicit, order 5) or `"kvaerno5"` (implicit, order 5, for stiff loops).
-        coordinates: `"funnel"` integrates the loop in the funnel coordinate, which has no pole to step over; `"physical"`
-            integrates the states as they are and rejects every step with a stage outside the funnel: an independent cross-check.
+        coordinates: `"funnel"` integrates the loop in the funnel coordinate, which has no pole to step over;
+            `"physical"` integrates the states as they are and rejects every step with a stage outside the funnel: an
+            independent cross-check.
 
     Raises:
         ValueError: A tolerance is not positive, rtol is not below 1, or a name is unknown.

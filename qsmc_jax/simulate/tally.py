@@ -1,12 +1,13 @@
 """Figures kept up step by step inside the solve: suprema, integrals, times, and how the premises fared.
 
-They are read off each accepted step's own cubic Hermite interpolant, so nothing hides between the points of a save grid, and they
-ride along in the integrated state, with no say in the step size, so that gradients reach them.
+They are read off each accepted step's own cubic Hermite interpolant, so nothing hides between the points of a save
+grid, and they ride along in the integrated state, with no say in the step size, so that gradients reach them.
 """
 
 from typing import Any
 
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.gudermann import sinh_cosh
@@ -40,7 +41,7 @@ class Problem(AbstractModule):
 
 
 class PeakStep(AbstractModule):
-    """The step with the highest |s| so far: its height by the cubic, its start and length [s], the coordinates at both ends."""
+    """The step with the highest |s| so far: height by the cubic, start and length [s], coordinates at both ends."""
 
     height: RealScalarLike
     start: RealScalarLike
@@ -82,7 +83,7 @@ class Step(AbstractModule):
 
 
 class _End(AbstractModule):
-    """What the figures need to know at one end of a step: errors e^(0) ... e^(n), sigma, s, and the rates of these two."""
+    """What the figures need at one end of a step: errors e^(0) ... e^(n), sigma, s, and the rates of these two."""
 
     errors: Scalars
     sigma: RealScalarLike
@@ -120,7 +121,9 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
     sigma = Cubic(left.sigma, right.sigma, h * left.sigma_rate, h * right.sigma_rate)
     errors = _error_cubics(left, right, h)
     steady_from = jnp.clip((problem.reaching_time - step.t0) / jnp.where(h > 0.0, h, 1.0), 0.0, 1.0)
-    steady = tuple(jnp.maximum(cubic.largest(steady_from), p) for cubic, p in zip(errors, tally.peak_errors, strict=True))
+    steady = tuple(
+        jnp.maximum(cubic.largest(steady_from), p) for cubic, p in zip(errors, tally.peak_errors, strict=True)
+    )
     peak = PeakStep(s.largest(), step.t0, h, *map(_scalars, step.y))
     return Tally(
         errors=_scalars(right.errors[:-1]),
@@ -153,7 +156,7 @@ def _error_cubics(left: _End, right: _End, h: RealScalarLike) -> list[Cubic]:
     return [Cubic(y0, y1, h * m0, h * m1) for y0, y1, m0, m1 in ends]
 
 
-def _exceeds(errors: list[Cubic], bounds: Scalars) -> RealScalarLike:
+def _exceeds(errors: list[Cubic], bounds: Scalars) -> Bool[Array, ""]:
     """Whether any error reaches its bound in the step."""
     return jnp.any(jnp.stack([error.largest() >= bound for error, bound in zip(errors, bounds, strict=True)]))
 

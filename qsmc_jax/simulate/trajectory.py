@@ -25,7 +25,7 @@ _DEFAULT_TIMES = 2001
 
 
 class Trajectory(AbstractModule):
-    """All signals of one run on a time grid, its figures, and how it ended. NumPy float64; NaN after the end of the run.
+    """All signals of one run on a time grid, its figures, and how it ended. NumPy float64; NaN after its end.
 
     Attributes:
         ts: Times [s].
@@ -42,18 +42,18 @@ class Trajectory(AbstractModule):
         error_bounds: What |sigma| < bandwidth implies for each error in the end.
     """
 
-    ts: Float[np.ndarray, " times"]
-    x: Float[np.ndarray, "times n"]
-    desired: Float[np.ndarray, "times n"]
-    e: Float[np.ndarray, "times n"]
-    sigma: Float[np.ndarray, " times"]
-    rho: Float[np.ndarray, " times"]
-    u: Float[np.ndarray, " times"]
-    d: Float[np.ndarray, " times"]
+    ts: Float[Array | np.ndarray, " times"]
+    x: Float[Array | np.ndarray, "times n"]
+    desired: Float[Array | np.ndarray, "times n"]
+    e: Float[Array | np.ndarray, "times n"]
+    sigma: Float[Array | np.ndarray, " times"]
+    rho: Float[Array | np.ndarray, " times"]
+    u: Float[Array | np.ndarray, " times"]
+    d: Float[Array | np.ndarray, " times"]
     figures: Figures
     loop: ClosedLoop
     bandwidth: RealScalarLike
-    error_bounds: Float[np.ndarray, " n"]
+    error_bounds: Float[Array | np.ndarray, " n"]
 
     @property
     def outcome(self) -> Outcome:
@@ -75,20 +75,22 @@ class Trajectory(AbstractModule):
         return plot_trajectory(self)
 
     def plot_phase_plane(self) -> Any:
-        """The paper's Figure 1 for a plant of order 2: the errors' path between the moving surfaces, as a matplotlib figure."""
+        """The paper's Figure 1, for a plant of order 2: the errors' path between the moving surfaces, in matplotlib."""
         return plot_phase_plane(self)
 
     def __str__(self) -> str:
-        f = self.figures
+        f, peak = self.figures, float(self.figures.peak_ratio)
         names = ("funnel", "reaching", "tracking")
         verdicts = (f.verdict, f.verdict_reaching, f.verdict_tracking)
         claims = ", ".join(f"{name} {Verdict(int(v)).name}" for name, v in zip(names, verdicts, strict=True))
         return "\n".join(
             (
                 f"Trajectory to t = {float(f.end_time):.6g} s in {int(f.steps)} steps: {claims}",
-                f"  sup |sigma|/rho {float(f.peak_ratio):.6g} at {float(f.peak_time):.4g} s (margin {float(f.margin):.3g})",
-                f"  sup |u| {float(f.peak_u):.6g}, energy {float(f.energy_u):.6g}, total variation {float(f.total_variation_u):.6g}",
-                f"  |sigma| < {float(self.bandwidth):.4g} for good after {float(f.reach_time):.6g} s (t_r = {self.reaching_time:.6g} s)",
+                f"  sup |sigma|/rho {peak:.6g} at {float(f.peak_time):.4g} s (margin {float(f.margin):.3g})",
+                f"  sup |u| {float(f.peak_u):.6g}, energy {float(f.energy_u):.6g}, "
+                f"total variation {float(f.total_variation_u):.6g}",
+                f"  |sigma| < {float(self.bandwidth):.4g} for good after {float(f.reach_time):.6g} s "
+                f"(t_r = {self.reaching_time:.6g} s)",
                 f"  {self.outcome.name}: {self.outcome.advice}",
             )
         )
@@ -109,8 +111,8 @@ def simulate(
         loop: The closed loop.
         x0: The start, n numbers.
         t1: The horizon [s], positive.
-        bandwidth: Bandwidth epsilon of quasi-sliding mode, rho_inf < epsilon < rho0 (C2); None stands for twice rho_inf, as in
-            both examples of the paper.
+        bandwidth: Bandwidth epsilon of quasi-sliding mode, rho_inf < epsilon < rho0 (C2); None stands for twice
+            rho_inf, as in both examples of the paper.
         ts: Times [s] at which to give the signals, increasing, within [0, t1]; None for 2001 evenly spaced.
         settings: Method and tolerances; None for the defaults.
 
@@ -123,9 +125,8 @@ def simulate(
     Examples:
         >>> import qsmc_jax as qj
         >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
-        >>> loop = qj.ClosedLoop(
-        ...     qj.plants.InvertedPendulum(), qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Sine(0.5, 1.0), control
-        ... )
+        >>> reference, disturbance = qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Sine(0.5, 1.0)
+        >>> loop = qj.ClosedLoop(qj.plants.InvertedPendulum(), reference, disturbance, control)
         >>> run = qj.simulate(loop, [0.9, 0.9], 20.0)
         >>> run.verdict.name, round(float(run.figures.peak_ratio), 4)
         ('HELD', 0.6323)
@@ -150,14 +151,25 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
 
 @entry_point
 def _simulate(
-    loop: ClosedLoop, x0: Array, t1: Array, bandwidth: Array, ts: Array, settings: SolverSettings
+    loop: ClosedLoop,
+    x0: Float[Array | np.ndarray, " n"],
+    t1: RealScalarLike,
+    bandwidth: RealScalarLike,
+    ts: Float[Array | np.ndarray, " times"],
+    settings: SolverSettings,
 ) -> Trajectory:
     problem = pose(loop, bandwidth, settings)
     return _solve_and_sample(problem, x0, t1, ts, settings)
 
 
 @eqx.filter_jit
-def _solve_and_sample(problem: Problem, x0: Array, t1: Array, ts: Array, settings: SolverSettings) -> Trajectory:
+def _solve_and_sample(
+    problem: Problem,
+    x0: Float[Array | np.ndarray, " n"],
+    t1: RealScalarLike,
+    ts: Float[Array | np.ndarray, " times"],
+    settings: SolverSettings,
+) -> Trajectory:
     loop = problem.loop
     start = tuple(x0[i] for i in range(loop.order))
     figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts))
@@ -184,5 +196,9 @@ def _check_times(ts: np.ndarray, t1: float) -> None:
     require(ts.ndim == 1 and ts.size > 0, f"Argument `ts` must be a list of times, but has shape {ts.shape}.")
     require_finite("ts", ts)
     inside = bool(ts[0] >= 0.0 and ts[-1] <= t1)
-    require(inside, f"Argument `ts` must lie within [0, t1] = [0, {show(t1)}], but spans [{show(ts[0])}, {show(ts[-1])}].")
-    require(bool(np.all(np.diff(ts) > 0)), "Argument `ts` must increase, but has a time not later than the one before it.")
+    require(
+        inside, f"Argument `ts` must lie within [0, t1] = [0, {show(t1)}], but spans [{show(ts[0])}, {show(ts[-1])}]."
+    )
+    require(
+        bool(np.all(np.diff(ts) > 0)), "Argument `ts` must increase, but has a time not later than the one before it."
+    )

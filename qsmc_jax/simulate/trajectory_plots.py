@@ -38,7 +38,7 @@ def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None) 
 
 
 def plot_phase_plane(run: "Trajectory") -> Any:
-    """The paper's Figure 1: e against its derivative, and the surfaces |sigma| = rho(t) closing in on |sigma| = epsilon.
+    """The paper's Figure 1: e against its derivative, and the surfaces |sigma| = rho(t) closing in on epsilon.
 
     Args:
         run: A trajectory of a plant of order 2.
@@ -59,9 +59,13 @@ def plot_phase_plane(run: "Trajectory") -> Any:
     for t, width in zip(times, np.interp(times, run.ts, run.rho), strict=True):
         for sign in (-1.0, 1.0):
             label = r"$|\sigma| = \rho(t)$, t = 0 ... $t_r$" if t == 0.0 and sign > 0 else None
-            ax.plot(e, sign * width - c * e, color=GREY, alpha=0.3 + 0.1 * np.searchsorted(times, t), lw=1.0, label=label)
+            ax.plot(
+                e, sign * width - c * e, color=GREY, alpha=0.3 + 0.1 * np.searchsorted(times, t), lw=1.0, label=label
+            )
     for sign in (-1.0, 1.0):
-        ax.plot(e, sign * run.bandwidth - c * e, "--", color=GREEN, label=r"$|\sigma| = \varepsilon$" if sign > 0 else None)
+        ax.plot(
+            e, sign * run.bandwidth - c * e, "--", color=GREEN, label=r"$|\sigma| = \varepsilon$" if sign > 0 else None
+        )
     ax.plot(e, -c * e, color=BLUE, label=r"$\sigma = 0$")
     ax.plot(run.e[:, 0], run.e[:, 1], color=RED, label="run")
     ax.plot(*run.e[0], "o", color=RED)

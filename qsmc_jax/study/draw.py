@@ -9,19 +9,16 @@ import dataclasses
 import difflib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
-import jax.numpy as jnp
-import jax.scipy.special
 import numpy as np
-import scipy.special
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive, require_shape, show
 from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.study import quantiles
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,18 +95,18 @@ class PointDraw:
     def uniform(self, name: str, low: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Uniform on [low, high]."""
         low, high = _interval(name, "low", low, "high", high)
-        return self._take(name, "uniform", shape, (low, high), _uniform, low, high)
+        return self._take(name, "uniform", shape, (low, high), quantiles.uniform, low, high)
 
     def log_uniform(self, name: str, low: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Uniform in the logarithm on [low, high], 0 < low < high."""
         require_positive(f"low` of `{name}", low)
         low, high = _interval(name, "low", low, "high", high)
-        return self._take(name, "log_uniform", shape, (low, high), _log_uniform, low, high)
+        return self._take(name, "log_uniform", shape, (low, high), quantiles.log_uniform, low, high)
 
     def normal(self, name: str, mean: RealScalarLike, std: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Normal with the given mean and standard deviation."""
         mean, std = _number(name, "mean", mean), _positive(name, "std", std)
-        return self._take(name, "normal", shape, (-math.inf, math.inf), _normal, mean, std)
+        return self._take(name, "normal", shape, (-math.inf, math.inf), quantiles.normal, mean, std)
 
     def truncated_normal(
         self,
@@ -129,7 +126,9 @@ class PointDraw:
         low, high = _interval(name, "low", low, "high", high)
         if not is_traced(mean, std, low, high):
             _require_mass(name, mean, std, low, high)
-        return self._take(name, "truncated_normal", shape, (low, high), _truncated_normal, mean, std, low, high)
+        return self._take(
+            name, "truncated_normal", shape, (low, high), quantiles.truncated_normal, mean, std, low, high
+        )
 
     def triangular(
         self, name: str, low: RealScalarLike, mode: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()
@@ -139,12 +138,12 @@ class PointDraw:
         mode = _number(name, "mode", mode)
         if not is_traced(low, mode, high):
             _require_inside(f"mode` of `{name}", mode, (low, high))
-        return self._take(name, "triangular", shape, (low, high), _triangular, low, mode, high)
+        return self._take(name, "triangular", shape, (low, high), quantiles.triangular, low, mode, high)
 
     def exponential(self, name: str, mean: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Exponential with the given mean."""
         mean = _positive(name, "mean", mean)
-        return self._take(name, "exponential", shape, (0.0, math.inf), _exponential, mean)
+        return self._take(name, "exponential", shape, (0.0, math.inf), quantiles.exponential, mean)
 
     def choice(self, name: str, values: Sequence[Any] | np.ndarray | Array, *, shape: tuple[int, ...] = ()) -> Any:
         """One of `values`, each equally likely."""
@@ -155,12 +154,12 @@ class PointDraw:
         )
         require_finite(f"values` of `{name}", array)
         levels = () if is_traced(array) else tuple(array.tolist())
-        return self._take(name, "choice", shape, (array.min(), array.max()), _choice, array, levels=levels)
+        return self._take(name, "choice", shape, (array.min(), array.max()), quantiles.choice, array, levels=levels)
 
     def sign(self, name: str, *, shape: tuple[int, ...] = ()) -> Any:
         """-1 or +1, equally likely."""
         levels = (-1.0, 1.0)
-        return self._take(name, "sign", shape, levels, _choice, np.array(levels), levels=levels)
+        return self._take(name, "sign", shape, levels, quantiles.choice, np.array(levels), levels=levels)
 
     def _take(
         self,
@@ -179,7 +178,7 @@ class PointDraw:
         else:
             _require_coordinates(name, self._point, self._used + size)
             u = self._point[self._used : self._used + size].reshape(shape)
-        return self._keep(name, kind, _evaluate(quantile, u, *arguments), bounds, size=size, levels=levels)
+        return self._keep(name, kind, quantiles.evaluate(quantile, u, *arguments), bounds, size=size, levels=levels)
 
     def _keep(
         self, name: str, kind: str, value: Any, bounds: tuple[Any, Any], *, size: int, levels: tuple[float, ...] = ()
@@ -280,72 +279,6 @@ def _dependent_names(scenario: Callable[[Any], Any], specs: Sequence[DrawSpec]) 
     values = {s.name: jax.ShapeDtypeStruct((), np.float64) for s in specs if s.kind == "parameter"}
     jax.eval_shape(trace, point, values)
     return draws[0].dependent
-
-
-class _Library(NamedTuple):
-    """The functions the inverse CDFs are written with."""
-
-    xp: ModuleType
-    ndtr: Callable[[Any], Any]
-    ndtri: Callable[[Any], Any]
-
-
-# What is not traced stays in NumPy: JAX would round it outside a 64-bit context, and compiles for seconds op by op
-_NUMPY = _Library(np, scipy.special.ndtr, scipy.special.ndtri)
-_JAX = _Library(jnp, jax.scipy.special.ndtr, jax.scipy.special.ndtri)
-
-
-def _evaluate(quantile: Callable[..., Any], u: Any, *arguments: Any) -> Any:
-    """The inverse CDF at `u`, by JAX if anything is traced."""
-    if is_traced(u, arguments):
-        return quantile(_JAX, _guarded(_JAX, u), *arguments)
-    return quantile(_NUMPY, _guarded(_NUMPY, np.asarray(u, dtype=np.float64)), *arguments)
-
-
-def _guarded(lib: _Library, u: Any) -> Any:
-    """`u` moved off the ends of (0, 1), where an inverse CDF may be infinite, to the nearest number inside."""
-    limits = jnp.finfo(u.dtype)
-    return lib.xp.clip(u, limits.tiny, 1 - limits.epsneg)
-
-
-def _uniform(lib: _Library, u: Any, low: Any, high: Any) -> Any:
-    """Inverse CDF as a weighted mean, which cannot overflow; clipped, since rounding may pass an end."""
-    return lib.xp.clip(low * (1 - u) + high * u, low, high)
-
-
-def _log_uniform(lib: _Library, u: Any, low: Any, high: Any) -> Any:
-    return lib.xp.clip(lib.xp.exp(lib.xp.log(low) * (1 - u) + lib.xp.log(high) * u), low, high)
-
-
-def _normal(lib: _Library, u: Any, mean: Any, std: Any) -> Any:
-    return mean + std * lib.ndtri(u)
-
-
-def _truncated_normal(lib: _Library, u: Any, mean: Any, std: Any, low: Any, high: Any) -> Any:
-    """Inverse CDF between the CDF at the ends, mirrored if need be into the lower tail, where it keeps its digits."""
-    a, b = (low - mean) / std, (high - mean) / std
-    is_upper = a + b > 0
-    p, q = lib.ndtr(lib.xp.where(is_upper, -b, a)), lib.ndtr(lib.xp.where(is_upper, -a, b))
-    v = lib.xp.where(is_upper, 1 - u, u)
-    z = lib.ndtri(_guarded(lib, p * (1 - v) + q * v))
-    return lib.xp.clip(mean + std * lib.xp.where(is_upper, -z, z), low, high)
-
-
-def _triangular(lib: _Library, u: Any, low: Any, mode: Any, high: Any) -> Any:
-    """Inverse CDF by its two branches; the root not taken gets 1, or its derivative at 0 would be NaN."""
-    is_left = u < (mode - low) / (high - low)
-    left = lib.xp.sqrt(lib.xp.where(is_left, u * (high - low) * (mode - low), 1.0))
-    right = lib.xp.sqrt(lib.xp.where(is_left, 1.0, (1 - u) * (high - low) * (high - mode)))
-    return lib.xp.clip(lib.xp.where(is_left, low + left, high - right), low, high)
-
-
-def _exponential(lib: _Library, u: Any, mean: Any) -> Any:
-    return -mean * lib.xp.log1p(-u)
-
-
-def _choice(lib: _Library, u: Any, values: Any) -> Any:
-    count = len(values)
-    return lib.xp.asarray(values)[lib.xp.minimum((u * count).astype(int), count - 1)]
 
 
 def _scalar(value: Any) -> Any:

@@ -32,8 +32,8 @@ def monte_carlo(
 ) -> Runs:
     """Solves many runs of a study.
 
-    Run i is a pure function of the study, the seed, the sampling and i: the same, to the last bit on one machine, whatever the number of
-    runs, the block size or the threads.
+    Run i is a pure function of the study, the seed, the sampling and i: the same, to the last bit on one machine,
+    whatever the number of runs, the block size or the threads.
 
     Args:
         study: The study.
@@ -69,7 +69,7 @@ def stream(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Runs]:
-    """Solves the runs of the given indices and yields them block by block, in order, holding only a few blocks at a time.
+    """Solves the runs of the given indices and yields them block by block, in order, holding only a few at a time.
 
     Args:
         study: The study.

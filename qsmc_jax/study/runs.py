@@ -16,8 +16,8 @@ CLAIMS = ("verdict", "verdict_reaching", "verdict_tracking")
 class Runs:
     """Runs of a study as NumPy columns, a mapping from column name to array.
 
-    Columns: `index`; one for each drawn name (`mass`, `x0[0]`, `x0[1]`); and the `Figures` of the run, with `peak_error[i]` for each
-    error derivative. Verdicts are codes of `Verdict`, outcomes of `Outcome`.
+    Columns: `index`; one for each drawn name (`mass`, `x0[0]`, `x0[1]`); and the `Figures` of the run, with
+    `peak_error[i]` for each error derivative. Verdicts are codes of `Verdict`, outcomes of `Outcome`.
 
     Attributes:
         columns: Arrays of one length, by column name.

@@ -74,9 +74,7 @@ class Study:
     nominal: Scenario = dataclasses.field(init=False)
 
     def __post_init__(self):
-        require(
-            callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}."
-        )
+        require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
         require_finite("bandwidth", self.bandwidth)
         specs, _ = discover(self.scenario)
         values = check_values(specs, self.values)
@@ -128,9 +126,7 @@ class Study:
         return self._simulate(self.nominal, ts, settings)
 
     def _simulate(self, scenario: Scenario, ts: Any, settings: SolverSettings | None) -> Trajectory:
-        return simulate(
-            scenario.loop, scenario.x0, scenario.t1, bandwidth=self.bandwidth, ts=ts, settings=settings
-        )
+        return simulate(scenario.loop, scenario.x0, scenario.t1, bandwidth=self.bandwidth, ts=ts, settings=settings)
 
     def _at(self, point: np.ndarray | None, values: Mapping[str, Any]) -> Scenario:
         result = _call(self.scenario, PointDraw(point, values))

@@ -75,7 +75,7 @@ class SumOfSines(AbstractDisturbance):
     def __init__(self, amplitudes: Any, frequencies: Any, phases: Any = None):
         self.amplitudes = as_float64(amplitudes)
         self.frequencies = as_float64(frequencies)
-        self.phases = np.zeros(np.shape(self.amplitudes)) if phases is None else as_float64(phases)
+        self.phases = as_float64(np.zeros(np.shape(self.amplitudes)) if phases is None else phases)
 
     def __check_init__(self):
         _require_sines(self.amplitudes, self.frequencies, self.phases)

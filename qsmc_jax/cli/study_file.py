@@ -1,0 +1,51 @@
+"""Loading the study that a user names, and the overrides that go with it."""
+
+import runpy
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from qsmc_jax.study.study import Study
+
+
+def load_study(path: Path, overrides: list[str]) -> "Study":
+    """Runs a study file and returns its `study`, with the overrides substituted.
+
+    Args:
+        path: A Python file that defines `study = qsmc_jax.Study(...)`.
+        overrides: Texts `name=value`; a value is a number, or numbers with commas between them.
+
+    Raises:
+        ValueError: The file is missing, raises, or has no `study`; or an override is wrong.
+    """
+    from qsmc_jax.study.study import Study
+
+    if not path.is_file():
+        raise ValueError(f"Argument `STUDY` must be a Python file, but there is no file `{path}`.")
+    names = _run(path)
+    if not isinstance(names.get("study"), Study):
+        found = "no `study`" if "study" not in names else f"a `study` that is a `{type(names['study']).__name__}`"
+        raise ValueError(f"File `{path}` must define `study = qsmc_jax.Study(scenario, bandwidth)`, but has {found}.")
+    return names["study"].substitute(**dict(map(_parse, overrides)))
+
+
+def _run(path: Path) -> dict[str, Any]:
+    """The names that the file defines; whatever it raises is told with its line, without our own frames."""
+    try:
+        return runpy.run_path(str(path))
+    except Exception as error:
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        place = f", line {lines[-1]}" if lines else ""
+        raise ValueError(f"File `{path}`{place}: {type(error).__name__}: {error}") from None
+
+
+def _parse(override: str) -> tuple[str, Any]:
+    name, separator, text = override.partition("=")
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not (name and separator and values):
+        raise ValueError(f"Argument `-S` must be name=value with a number, such as mu=2.5, but is `{override}`.")
+    return name.strip(), values[0] if len(values) == 1 else values

@@ -1,0 +1,1 @@
+"""Results as tables and files. The one place that touches disk."""

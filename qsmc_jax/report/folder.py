@@ -1,0 +1,93 @@
+"""A result folder that appears whole or not at all, and the Parquet file in it."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.study.runs import Runs
+
+
+class ResultFolder:
+    """A new folder, filled under a temporary name beside it and renamed when everything is in it.
+
+    Use it as a context: leaving without `commit` removes what was written, and nothing that existed before is touched.
+    """
+
+    def __init__(self, path: Path):
+        """Makes the temporary folder.
+
+        Raises:
+            ValueError: The folder exists already, or can't be made.
+        """
+        self.path = path
+        advice = "Choose another folder, or move this one away."
+        require(not path.exists(), f"Argument `--out` must be a new folder, but `{path}` exists. {advice}")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        except OSError as error:
+            raise ValueError(f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error}.") from None
+        self._writer: pq.ParquetWriter | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close()
+        shutil.rmtree(self._temporary, ignore_errors=True)
+
+    def add_rows(self, table: Runs) -> None:
+        """Appends rows to `runs.parquet`."""
+        rows = pa.table(dict(table.columns))
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(self._temporary / "runs.parquet", rows.schema, compression="zstd")
+        self._writer.write_table(rows)
+
+    def add_table(self, name: str, columns: Mapping[str, Any]) -> None:
+        """Writes a table of NumPy columns as one Parquet file."""
+        pq.write_table(pa.table(dict(columns)), self._temporary / name, compression="zstd")
+
+    def add_json(self, name: str, content: Mapping[str, Any]) -> None:
+        """Writes a JSON file; numbers that JSON does not know (NaN, infinities) become texts."""
+        (self._temporary / name).write_text(to_json(content) + "\n", encoding="utf-8")
+
+    def add_figure(self, name: str, figure: Any) -> None:
+        """Writes a picture."""
+        figure.savefig(self._temporary / name, dpi=150)
+
+    def commit(self) -> None:
+        """Gives the folder its name."""
+        self._close()
+        self._temporary.chmod(0o755)
+        self._temporary.rename(self.path)
+
+    def _close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+
+def to_json(content: Mapping[str, Any]) -> str:
+    """The content as one JSON document."""
+    return json.dumps(_plain(content), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON does not know as texts, containers followed."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return str(value)
+    return value

@@ -1,0 +1,170 @@
+"""The result of `verify`: what was found, how sure it is, and the worst runs."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from qsmc_jax.simulate.outcome import Outcome, Verdict
+from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.study.runs import Runs
+from qsmc_jax.study.study import Study
+from qsmc_jax.verify.statistics import runs_needed
+from qsmc_jax.verify.summary import Histogram
+from qsmc_jax.verify.verification_plots import plot_verification
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """Counts for one claim of Theorem 1, and the interval of the probability that it is violated.
+
+    Attributes:
+        name: "funnel", "reaching" or "tracking".
+        statement: What is claimed.
+        held: Runs in which it held.
+        violated: Runs in which it did not.
+        undecided: Runs that could not be decided; counted both ways in the interval.
+        inadmissible: Runs in which a premise does not hold; not counted in the interval.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+    """
+
+    name: str
+    statement: str
+    held: int
+    violated: int
+    undecided: int
+    inadmissible: int
+    low: float
+    high: float
+
+    @property
+    def verdict(self) -> Verdict:
+        """VIOLATED by one violated run, UNDECIDED by one undecided, INADMISSIBLE if no run was admitted, else HELD."""
+        if self.violated:
+            return Verdict.VIOLATED
+        if self.undecided:
+            return Verdict.UNDECIDED
+        return Verdict.HELD if self.held else Verdict.INADMISSIBLE
+
+
+@dataclasses.dataclass(frozen=True)
+class NumericalError:
+    """What solving runs again at a hundredth of the tolerance changed.
+
+    Attributes:
+        checked: Runs solved again: a random sample and the worst.
+        peak_ratio: Largest change of sup |sigma|/rho.
+        changed: Runs whose verdict on any claim changed.
+    """
+
+    checked: int
+    peak_ratio: float
+    changed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Verification:
+    """What `verify` found.
+
+    Attributes:
+        study: The study.
+        runs: Runs made.
+        seed: Their seed.
+        confidence: Confidence of each interval.
+        settings: Settings of the first solve.
+        claims: The three claims of Theorem 1.
+        worst: The worst runs, most serious first.
+        numerical_error: What a tighter tolerance changed.
+        climbed: Runs solved again because they were doubtful: at a tighter tolerance, and by an implicit method.
+        defects: Indices of runs whose peak breaks the comparison bound: a defect of the simulator, not of the loop.
+        margin: Histogram of 1 - sup |sigma|/rho.
+        reach: Histogram of the reach time [s].
+        peak_u: Largest sup |u| of the runs that held.
+        steps: Solver steps of all runs together.
+        solve_seconds: Time of solving, without compilation [s].
+    """
+
+    study: Study
+    runs: int
+    seed: int
+    confidence: float
+    settings: SolverSettings
+    claims: tuple[Claim, ...]
+    worst: Runs
+    numerical_error: NumericalError
+    climbed: tuple[int, ...]
+    defects: tuple[int, ...]
+    margin: Histogram
+    reach: Histogram
+    peak_u: float
+    steps: int
+    solve_seconds: float
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on all claims together, and on the simulator: HELD only if nothing at all is in doubt."""
+        verdicts = [claim.verdict for claim in self.claims]
+        if Verdict.VIOLATED in verdicts:
+            return Verdict.VIOLATED
+        is_sound = not self.defects and not self.numerical_error.changed
+        is_held = all(verdict == Verdict.HELD for verdict in verdicts)
+        return Verdict.HELD if is_held and is_sound else Verdict.UNDECIDED
+
+    def summary(self) -> Mapping[str, Any]:
+        """Everything as plain numbers and texts, ready for JSON."""
+        return {
+            "verdict": self.verdict.name,
+            "runs": self.runs,
+            "seed": self.seed,
+            "confidence": self.confidence,
+            "bandwidth": float(self.study.bandwidth),
+            "values": {name: value.tolist() for name, value in self.study.values.items()},
+            "claims": [{**dataclasses.asdict(claim), "verdict": claim.verdict.name} for claim in self.claims],
+            "numerical_error": dataclasses.asdict(self.numerical_error),
+            "climbed": list(self.climbed),
+            "defects": list(self.defects),
+            "peak_u": self.peak_u,
+            "worst": [self.worst.row(i) for i in range(len(self.worst))],
+            "steps": self.steps,
+            "solve_seconds": self.solve_seconds,
+        }
+
+    def conclusion(self) -> str:
+        """The finding in a sentence or two that can be quoted."""
+        funnel = self.claims[0]
+        admitted = funnel.held + funnel.violated + funnel.undecided
+        sure = f"with {100 * self.confidence:g} % confidence"
+        interval = f"the probability of leaving the funnel lies in [{funnel.low:.3g}, {funnel.high:.3g}] {sure}"
+        if self.verdict == Verdict.VIOLATED:
+            reasons = {Outcome(int(code)).advice for code in self.worst["outcome"] if code != Outcome.COMPLETED}
+            return f"VIOLATED: of {admitted} admissible runs {funnel.violated} left the funnel; {interval}. {' '.join(sorted(reasons))}"
+        if self.verdict == Verdict.UNDECIDED:
+            return f"UNDECIDED: {self._doubts()} Counting undecided runs both ways, {interval}."
+        return f"HELD in all {admitted} admissible runs: {interval}."
+
+    def _doubts(self) -> str:
+        doubts = [f"{c.undecided} runs undecided on {c.name}." for c in self.claims if c.undecided]
+        doubts += [f"No admissible run for {c.name}." for c in self.claims if c.verdict == Verdict.INADMISSIBLE]
+        if self.defects:
+            doubts.append(f"{len(self.defects)} peaks break the comparison bound, a defect of the simulator: please report it.")
+        if self.numerical_error.changed:
+            doubts.append(f"{self.numerical_error.changed} verdicts change with the tolerance: lower `rtol`.")
+        codes = sorted({int(code) for code in self.worst["outcome"]} - {0})
+        return " ".join(doubts + [Outcome(code).advice for code in codes])
+
+    def plot(self) -> Any:
+        """The funnel with bands of the runs and the worst run, and the distributions of margin and reach time, as a figure."""
+        return plot_verification(self)
+
+    def plan(self, probability: float) -> int:
+        """Runs needed, without a violation, to bound the violation probability by `probability` at this confidence."""
+        return runs_needed(probability, self.confidence)
+
+    def __str__(self) -> str:
+        rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {self.study.bandwidth:g}"]
+        rows.append(f"{'claim':10}{'held':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   violation probability")
+        for c in self.claims:
+            counts = f"{c.held:9d}{c.violated:10d}{c.undecided:11d}{c.inadmissible:14d}"
+            rows.append(f"{c.name:10}{counts}   [{c.low:.3g}, {c.high:.3g}]")
+        rows.append(self.conclusion())
+        return "\n".join(rows)

@@ -1,0 +1,78 @@
+"""Pictures of a verification: the funnel with what the runs do in it, and how much room they leave."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, new_figure
+from qsmc_jax.verify.summary import Histogram
+
+if TYPE_CHECKING:
+    from qsmc_jax.verify.verification import Verification
+
+_BAND_RUNS = 64
+_BAND_TIMES = 1001
+_BANDS = ((0.0, 1.0), (0.05, 0.95), (0.25, 0.75))
+
+
+def plot_verification(result: "Verification") -> Any:
+    """The funnel with bands of the runs and the worst run, the histogram of the margin, and that of the reach time.
+
+    Solves 64 runs and the worst one again to draw them.
+
+    Args:
+        result: What `verify` returned.
+
+    Returns:
+        A matplotlib `Figure`; save it with `.savefig(path)`.
+    """
+    figure, axes = new_figure(1, 3, (15.0, 4.8))
+    _funnel(axes[0, 0], result)
+    _margin(axes[0, 1], result.margin, result)
+    _reach(axes[0, 2], result.reach, result)
+    figure.suptitle(f"{result.verdict.name}: {result.runs} runs, seed {result.seed}")
+    return figure
+
+
+def _funnel(ax: Any, result: "Verification") -> None:
+    study, eps = result.study, float(result.study.bandwidth)
+    ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
+    count = min(_BAND_RUNS, result.runs)
+    runs = [study.replay(i, result.seed) for i in range(count)]
+    sigma = np.array([np.interp(ts, run.ts, run.sigma, right=np.nan) for run in runs])
+    alive = np.isfinite(sigma).any(axis=0)
+    for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
+        quantiles = np.nanquantile(sigma[:, alive], (low, high), axis=0)
+        label = f"all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
+        ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
+    index = int(result.worst["index"][0])
+    worst = study.replay(index, result.seed)
+    for sign in (-1.0, 1.0):
+        ax.plot(worst.ts, sign * worst.rho, color=RED, label=r"$\pm\rho$" if sign > 0 else None)
+        ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
+    ax.plot(worst.ts, worst.sigma, color=BLUE, lw=1.0, label=f"worst, run {index}")
+    ax.axvline(worst.reaching_time, ls=":", color=ORANGE, label=f"$t_r$ = {worst.reaching_time:.4g} s")
+    ax.set_yscale("symlog", linthresh=2.0 * eps)
+    ax.set(title="Sliding variable in its funnel", xlabel="t [s]", ylabel=r"$\sigma$ (linear below 2 $\varepsilon$)")
+    ax.legend(loc="upper right", fontsize=7)
+
+
+def _margin(ax: Any, histogram: Histogram, result: "Verification") -> None:
+    _bars(ax, histogram)
+    least = float(np.nan_to_num(result.worst["margin"][0]))
+    ax.axvline(least, color=RED, ls="--", label=f"worst: {least:.3g}")
+    ax.set(title="Margin to the funnel", xlabel=r"$1 - \sup |\sigma|/\rho$ [-]", ylabel="runs", xlim=(0.0, 1.0))
+    ax.legend(loc="best", fontsize=8)
+
+
+def _reach(ax: Any, histogram: Histogram, result: "Verification") -> None:
+    _bars(ax, histogram)
+    t_r = float(result.study.nominal.loop.control.funnel.reaching_time(result.study.bandwidth))
+    ax.axvline(t_r, color=ORANGE, ls=":", lw=2.0, label=f"nominal $t_r$ = {t_r:.4g} s")
+    ax.set(title="Reach time", xlabel=r"time after which $|\sigma| < \varepsilon$ for good [s]", ylabel="runs")
+    ax.legend(loc="best", fontsize=8)
+
+
+def _bars(ax: Any, histogram: Histogram) -> None:
+    ax.stairs(histogram.counts, histogram.edges, fill=True, color=BLUE, alpha=0.6)
+    ax.stairs(histogram.counts, histogram.edges, color=GREY, lw=0.5)

@@ -1,0 +1,95 @@
+"""No violation that is not there: where a naive simulator steps over the pole of the tangent, every run must be HELD."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.integrate
+
+import problems
+import qsmc_jax as qj
+
+RHO_INF = (0.05, 0.005, 0.0005)
+RTOL = (1e-3, 1e-4, 1e-6)
+
+
+def narrowing(rho_inf):
+    """Example 1 from random starts in [0.1, 0.9]^2, in a funnel that ends at `rho_inf`; one program for all."""
+    return qj.Study(problems.dispersed_example1, bandwidth=2 * rho_inf, values={"rho_inf": rho_inf})
+
+
+def check(rho_inf, rtol, runs, block):
+    study = narrowing(rho_inf)
+    table = qj.monte_carlo(study, runs, settings=qj.SolverSettings(rtol=rtol), block=block)
+    tight = qj.monte_carlo(study, runs, settings=qj.SolverSettings(qj.tight().rtol, qj.tight().atol), block=block)
+    assert table.counts()[qj.Verdict.HELD] == runs
+    assert np.max(np.abs(table["peak_ratio"] - tight["peak_ratio"])) <= 20 * rtol
+
+
+@pytest.mark.parametrize("rtol", RTOL)
+@pytest.mark.parametrize("rho_inf", RHO_INF)
+def test_example1_is_held_from_random_starts(rho_inf, rtol):
+    check(rho_inf, rtol, runs=64, block=64)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rtol", RTOL)
+@pytest.mark.parametrize("rho_inf", RHO_INF)
+def test_example1_is_held_from_a_thousand_random_starts(rho_inf, rtol):
+    check(rho_inf, rtol, runs=1000, block=512)
+
+
+@pytest.mark.parametrize("claim", ["verdict", "verdict_reaching", "verdict_tracking"])
+def test_every_claim_of_example1_holds(claim):
+    table = qj.monte_carlo(narrowing(0.05), 64, block=64)
+    assert table.counts(claim)[qj.Verdict.HELD] == 64
+
+
+LANES, START, STOP, END = 40, 2.0, 2.2, 3.0
+HEIGHTS = np.linspace(3.0, 22.5, LANES)
+
+
+def pulse(draw):
+    """sigma' = d + u, rho = exp(-t) + 0.05: at rest but for a pulse of 0.2 s, far beyond what rho allows at once."""
+    half = (HEIGHTS[1] - HEIGHTS[0]) / 2  # so that the cells' midpoints on the grid are the heights
+    height = draw.uniform("height", HEIGHTS[0] - half, HEIGHTS[-1] + half)
+    quiet = qj.disturbances.Zero()
+    disturbance = qj.disturbances.Piecewise([START, STOP], (quiet, qj.disturbances.Constant(height), quiet))
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.05))
+    loop = qj.ClosedLoop(problems.chain(1)(), qj.references.Constant(0.0), disturbance, control)
+    return qj.Scenario(loop, x0=[0.0], t1=END)
+
+
+@pytest.fixture(scope="module")
+def pulses():
+    return qj.monte_carlo(qj.Study(pulse, bandwidth=0.1), LANES, sampling=problems.Grid(LANES), block=64)
+
+
+def test_heights_are_those_of_the_lanes(pulses):
+    np.testing.assert_allclose(pulses["height"], HEIGHTS, rtol=1e-12)
+
+
+def test_pulse_leaves_every_lane_held(pulses):
+    assert pulses.counts()[qj.Verdict.HELD] == LANES
+
+
+def test_pulse_obeys_the_comparison_bound(pulses):
+    # tan(pi z / 2) <= sup(|d| + mu (rho - rho_inf)) / g, and the pulse comes when mu (rho - rho_inf) = exp(-2).
+    bound = 2 / math.pi * np.arctan(HEIGHTS + math.exp(-START))
+    assert np.all(pulses["peak_ratio"] <= bound)
+    assert np.all(pulses["peak_u"] <= pulses["peak_u_bound"] * (1 + 1e-9))
+
+
+def test_pulse_peaks_where_scipy_says(pulses):
+    """Against LSODA on s' = cosh(s) (pi (d - sinh s) / 2 - gd(s) rho') / rho, whose Jacobian is diagonal over lanes."""
+
+    def rate(t, s):
+        rho, rho_rate = math.exp(-t) + 0.05, -math.exp(-t)
+        return np.cosh(s) * (math.pi / 2 * (HEIGHTS - np.sinh(s)) - np.arctan(np.sinh(s)) * rho_rate) / rho
+
+    ts = START + (STOP - START) * np.linspace(0.0, 1.0, 4001) ** 2
+    solution = scipy.integrate.solve_ivp(
+        rate, (START, STOP), np.zeros(LANES), "LSODA", ts, rtol=1e-10, atol=1e-12, lband=0, uband=0
+    )
+    peak = 2 / math.pi * np.arctan(np.sinh(solution.y.max(axis=1)))
+    np.testing.assert_allclose(pulses["peak_ratio"], peak, rtol=0, atol=20e-6)
