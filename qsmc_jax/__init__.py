@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
     from qsmc_jax.model.references import AbstractReference as AbstractReference
-    from qsmc_jax.simulate.figures import Figures as Figures
-    from qsmc_jax.simulate.outcome import Outcome as Outcome
-    from qsmc_jax.simulate.outcome import Verdict as Verdict
-    from qsmc_jax.simulate.settings import SolverSettings as SolverSettings
-    from qsmc_jax.simulate.settings import tight as tight
-    from qsmc_jax.simulate.trajectory import Trajectory as Trajectory
-    from qsmc_jax.simulate.trajectory import simulate as simulate
+    from qsmc_jax.simulation.figures import Figures as Figures
+    from qsmc_jax.simulation.outcome import Outcome as Outcome
+    from qsmc_jax.simulation.outcome import Verdict as Verdict
+    from qsmc_jax.simulation.settings import SolverSettings as SolverSettings
+    from qsmc_jax.simulation.settings import tight as tight
+    from qsmc_jax.simulation.trajectory import Trajectory as Trajectory
+    from qsmc_jax.simulation.trajectory import simulate as simulate
     from qsmc_jax.study.monte_carlo import monte_carlo as monte_carlo
     from qsmc_jax.study.monte_carlo import stream as stream
     from qsmc_jax.study.runs import Runs as Runs
@@ -37,11 +37,12 @@ if TYPE_CHECKING:
     from qsmc_jax.study.sampling import Sobol as Sobol
     from qsmc_jax.study.study import Scenario as Scenario
     from qsmc_jax.study.study import Study as Study
-    from qsmc_jax.verify.statistics import runs_needed as runs_needed
-    from qsmc_jax.verify.verification import Verification as Verification
-    from qsmc_jax.verify.verify import verify as verify
+    from qsmc_jax.verification.result import Verification as Verification
+    from qsmc_jax.verification.statistics import runs_needed as runs_needed
+    from qsmc_jax.verification.verify import verify as verify
 
-# Names are loaded on first use, so that `qsmc --help` need not wait for JAX. A test holds this table against the imports above.
+# Names are loaded on first use, so that `qsmc --help` need not wait for JAX. A test holds this table against the
+# imports above.
 _HOMES = {
     "Funnel": "qsmc_jax.control.funnel",
     "QuasiSlidingControl": "qsmc_jax.control.law",
@@ -50,13 +51,13 @@ _HOMES = {
     "AbstractDisturbance": "qsmc_jax.model.disturbances",
     "AbstractPlant": "qsmc_jax.model.plants",
     "AbstractReference": "qsmc_jax.model.references",
-    "Figures": "qsmc_jax.simulate.figures",
-    "Outcome": "qsmc_jax.simulate.outcome",
-    "Verdict": "qsmc_jax.simulate.outcome",
-    "SolverSettings": "qsmc_jax.simulate.settings",
-    "tight": "qsmc_jax.simulate.settings",
-    "Trajectory": "qsmc_jax.simulate.trajectory",
-    "simulate": "qsmc_jax.simulate.trajectory",
+    "Figures": "qsmc_jax.simulation.figures",
+    "Outcome": "qsmc_jax.simulation.outcome",
+    "Verdict": "qsmc_jax.simulation.outcome",
+    "SolverSettings": "qsmc_jax.simulation.settings",
+    "tight": "qsmc_jax.simulation.settings",
+    "Trajectory": "qsmc_jax.simulation.trajectory",
+    "simulate": "qsmc_jax.simulation.trajectory",
     "monte_carlo": "qsmc_jax.study.monte_carlo",
     "stream": "qsmc_jax.study.monte_carlo",
     "Runs": "qsmc_jax.study.runs",
@@ -65,9 +66,9 @@ _HOMES = {
     "Sobol": "qsmc_jax.study.sampling",
     "Scenario": "qsmc_jax.study.study",
     "Study": "qsmc_jax.study.study",
-    "runs_needed": "qsmc_jax.verify.statistics",
-    "Verification": "qsmc_jax.verify.verification",
-    "verify": "qsmc_jax.verify.verify",
+    "runs_needed": "qsmc_jax.verification.statistics",
+    "Verification": "qsmc_jax.verification.result",
+    "verify": "qsmc_jax.verification.verify",
 }
 _NAMESPACES = {
     "disturbances": "qsmc_jax.model.disturbances",

@@ -95,8 +95,9 @@ def _require_scalar(plant: AbstractPlant, method: str) -> None:
     number = jax.ShapeDtypeStruct((), float)
     result = jax.eval_shape(getattr(plant, method), number, (number,) * plant.order)
     shape = getattr(result, "shape", None)
+    found = type(result).__name__ if shape is None else f"shape {shape}"
     require(
         shape == (),
-        f"`{method}` of `{type(plant).__name__}` must return one number, but returns "
-        f"{f'shape {shape}' if shape is not None else type(result).__name__}. Index the state: x[0] ... x[{plant.order - 1}].",
+        f"`{method}` of `{type(plant).__name__}` must return one number, but returns {found}. "
+        f"Index the state: x[0] ... x[{plant.order - 1}].",
     )

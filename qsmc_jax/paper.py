@@ -1,6 +1,7 @@
 """The two examples of the paper, as loops.
 
-Source: P. K. Mishra and P. Jagtap, Approximation- and Chattering-free Quasi Sliding Mode Control for Unknown Systems, Section V.
+Source: P. K. Mishra and P. Jagtap, Approximation- and Chattering-free Quasi Sliding Mode Control for Unknown Systems,
+    Section V.
 """
 
 import math
@@ -20,7 +21,7 @@ HORIZON = 20.0
 # Each start has all its states equal to one of these.
 STARTS = MappingProxyType({1: (0.9, 0.7, 0.3, 0.1), 2: (0.5, 0.6, 0.7)})
 
-# The reaching time as printed: a bound rounded up to 1.5 s in Example 1; 1.53 s in Example 2, where the formula gives 1.5351 s.
+# The reaching time as printed: rounded up to 1.5 s in Example 1, down to 1.53 s in Example 2 (by the formula 1.5351 s).
 PRINTED_REACHING_TIME = MappingProxyType({1: 1.5, 2: 1.53})
 
 

@@ -34,7 +34,9 @@ class CooledReactor(qj.AbstractPlant):
 def scenario(draw):
     """A reactor that should swing around 10 K above ambient."""
     plant = CooledReactor(
-        heat=draw.uniform("heat", 1.5, 2.5), loss=draw.uniform("loss", 0.05, 0.15), cooling=draw.uniform("cooling", 0.5, 1.0)
+        heat=draw.uniform("heat", 1.5, 2.5),
+        loss=draw.uniform("loss", 0.05, 0.15),
+        cooling=draw.uniform("cooling", 0.5, 1.0),
     )
     funnel = qj.Funnel(rho0=5.0, mu=1.0, rho_inf=0.2)
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), funnel, gain_sign=-1)

@@ -173,7 +173,9 @@ def equilibrium(level, gain):
     loop = scalar_loop(STILL, level=level, gain_scale=gain)
     ratio = 2 / math.pi * math.atan(abs(level) / gain)
     answers = {"peak_ratio": ratio, "peak_u": abs(level) / gain, "x1": math.copysign(ratio * WIDTH, level)}
-    return Problem(f"balance at d = {level}", ("held",), equilibrium.__doc__, loop, (0.0,), 60.0, STILL_BANDWIDTH, answers)
+    return Problem(
+        f"balance at d = {level}", ("held",), equilibrium.__doc__, loop, (0.0,), 60.0, STILL_BANDWIDTH, answers
+    )
 
 
 VIOLATED = [
@@ -209,7 +211,8 @@ def dispersed_example1(draw):
     control = qj.QuasiSlidingControl(qj.SlidingSurface([_around(draw, "c1", 2.0, widest=10.0)]), funnel)
     disturbance = qj.disturbances.Sine(_around(draw, "amplitude", 0.5, widest=10.0), 1.0)
     loop = qj.ClosedLoop(qj.plants.InvertedPendulum(), qj.references.SumOfSines([1.0], [1.0]), disturbance, control)
-    return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=20.0)
+    x0 = draw.uniform("x0", 0.1, 0.9, shape=(2,))
+    return qj.Scenario(loop, x0, t1=draw.parameter("t1", 20.0, bounds=(0.1, 100.0)))
 
 
 def _around(draw, name, centre, widest):

@@ -29,7 +29,9 @@ def scenario(draw):
     disturbance = qj.disturbances.Constant(draw.uniform("d", -1.0, 1.0))
     plant = Integrator(draw.uniform("g", 1.0, 2.0))
     loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), disturbance, control)
-    return qj.Scenario(loop, x0=draw.uniform("x0", -1.0, 1.2, shape=(1,)), t1=draw.parameter("t1", 6.0, bounds=(0.1, 20.0)))
+    return qj.Scenario(
+        loop, x0=draw.uniform("x0", -1.0, 1.2, shape=(1,)), t1=draw.parameter("t1", 6.0, bounds=(0.1, 20.0))
+    )
 
 
 study = qj.Study(scenario, bandwidth=0.2)

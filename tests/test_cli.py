@@ -114,7 +114,8 @@ from tests.studies_for_tests import Integrator
 
 def loop(funnel=(1.0, 1.0, 0.1), c=(), plant=None, reference=None):
     control = qj.QuasiSlidingControl(qj.SlidingSurface(list(c)), qj.Funnel(*funnel))
-    return qj.ClosedLoop(plant or Integrator(1.0), reference or qj.references.Constant(0.0), qj.disturbances.Zero(), control)
+    plant, reference = plant or Integrator(1.0), reference or qj.references.Constant(0.0)
+    return qj.ClosedLoop(plant, reference, qj.disturbances.Zero(), control)
 
 def study_of(make, x0=(0.5,), bandwidth=0.2):
     return qj.Study(lambda draw: qj.Scenario(make(draw), x0=list(x0), t1=5.0), bandwidth)
@@ -123,7 +124,10 @@ def study_of(make, x0=(0.5,), bandwidth=0.2):
 BAD = {
     "c too long": ("study = study_of(lambda d: loop(c=[1.0]))", "`c` of the sliding surface must have 0 coefficients"),
     "c not Hurwitz": ("study = study_of(lambda d: loop(c=[-1.0]))", "Hurwitz, but has the root 1"),
-    "rho_inf = bandwidth": ("study = study_of(lambda d: loop(), bandwidth=0.1)", "`bandwidth` must lie strictly between"),
+    "rho_inf = bandwidth": (
+        "study = study_of(lambda d: loop(), bandwidth=0.1)",
+        "`bandwidth` must lie strictly between",
+    ),
     "bandwidth = rho0": ("study = study_of(lambda d: loop(), bandwidth=1.0)", "`bandwidth` must lie strictly between"),
     "rho0 < 0": ("study = study_of(lambda d: loop(funnel=(-1.0, 1.0, 0.1)))", "`rho0` must be positive"),
     "mu = 0": ("study = study_of(lambda d: loop(funnel=(1.0, 0.0, 0.1)))", "`mu` must be positive"),
@@ -135,11 +139,13 @@ BAD = {
         "`a` a second time",
     ),
     "not smooth": (
-        "import jax.numpy as jnp\nstudy = study_of(lambda d: loop(reference=qj.references.Smooth(lambda t: jnp.abs(t - 1.0))))",
+        "import jax.numpy as jnp\nkinked = qj.references.Smooth(lambda t: jnp.abs(t - 1.0))\n"
+        "study = study_of(lambda d: loop(reference=kinked))",
         "must be smooth",
     ),
     "drift of the wrong shape": (
-        "import jax.numpy as jnp\nclass P(qj.AbstractPlant):\n    order = 1\n    def drift(self, t, x):\n        return jnp.zeros(2)\n"
+        "import jax.numpy as jnp\nclass P(qj.AbstractPlant):\n    order = 1\n"
+        "    def drift(self, t, x):\n        return jnp.zeros(2)\n"
         "    def gain(self, t, x):\n        return 1.0\nstudy = study_of(lambda d: loop(plant=P()))",
         "`drift` of `P` must return one number, but returns shape (2,)",
     ),

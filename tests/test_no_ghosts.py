@@ -1,5 +1,6 @@
 """No violation that is not there: where a naive simulator steps over the pole of the tangent, every run must be HELD."""
 
+import functools as ft
 import math
 
 import numpy as np
@@ -13,30 +14,40 @@ RHO_INF = (0.05, 0.005, 0.0005)
 RTOL = (1e-3, 1e-4, 1e-6)
 
 
+# Every peak of Example 1 comes before this: the reference need not go on [s].
+PEAKS_ARE_OVER = 3.0
+
+
 def narrowing(rho_inf):
     """Example 1 from random starts in [0.1, 0.9]^2, in a funnel that ends at `rho_inf`; one program for all."""
     return qj.Study(problems.dispersed_example1, bandwidth=2 * rho_inf, values={"rho_inf": rho_inf})
 
 
-def check(rho_inf, rtol, runs, block):
-    study = narrowing(rho_inf)
-    table = qj.monte_carlo(study, runs, settings=qj.SolverSettings(rtol=rtol), block=block)
-    tight = qj.monte_carlo(study, runs, settings=qj.SolverSettings(qj.tight().rtol, qj.tight().atol), block=block)
+@ft.cache
+def true_peaks(rho_inf, runs, block):
+    settings = qj.SolverSettings(qj.tight().rtol, qj.tight().atol)
+    table = qj.monte_carlo(narrowing(rho_inf).substitute(t1=PEAKS_ARE_OVER), runs, settings=settings, block=block)
+    assert np.all(table["peak_time"] < PEAKS_ARE_OVER - 1.0)
+    return table["peak_ratio"]
+
+
+def check_held(rho_inf, rtol, runs, block):
+    table = qj.monte_carlo(narrowing(rho_inf), runs, settings=qj.SolverSettings(rtol=rtol), block=block)
     assert table.counts()[qj.Verdict.HELD] == runs
-    assert np.max(np.abs(table["peak_ratio"] - tight["peak_ratio"])) <= 20 * rtol
+    np.testing.assert_allclose(table["peak_ratio"], true_peaks(rho_inf, runs, block), rtol=20 * rtol)
 
 
 @pytest.mark.parametrize("rtol", RTOL)
 @pytest.mark.parametrize("rho_inf", RHO_INF)
 def test_example1_is_held_from_random_starts(rho_inf, rtol):
-    check(rho_inf, rtol, runs=64, block=64)
+    check_held(rho_inf, rtol, runs=64, block=64)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rtol", RTOL)
 @pytest.mark.parametrize("rho_inf", RHO_INF)
 def test_example1_is_held_from_a_thousand_random_starts(rho_inf, rtol):
-    check(rho_inf, rtol, runs=1000, block=512)
+    check_held(rho_inf, rtol, runs=1000, block=512)
 
 
 @pytest.mark.parametrize("claim", ["verdict", "verdict_reaching", "verdict_tracking"])

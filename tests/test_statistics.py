@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from qsmc_jax.verify.statistics import (
+from qsmc_jax.verification.statistics import (
     cdf_band,
     clopper_pearson,
     runs_needed,

@@ -1,4 +1,4 @@
-"""Verification: counts, intervals, ladder, and what it refuses. Truth: the scalar loop's closed forms, SciPy's intervals."""
+"""Verification: counts, intervals, ladder, refusals. Truth: the scalar loop's closed forms, and SciPy's intervals."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_every_run_reaches_the_sink_once(result):
 
 
 def test_the_peak_is_the_start_or_the_equilibrium(result):
-    """A scalar loop in a shrinking funnel: sup|z| >= |z(0)| and >= (2/pi) atan(|d|/g); the comparison bound from above."""
+    """sup|z| >= |z(0)| and >= (2/pi) atan(|d|/g), the equilibrium; the comparison lemma from above."""
     rows = result[1][0]
     rows = rows.take(rows["verdict"] == qj.Verdict.HELD)
     start, equilibrium = np.abs(rows["x0[0]"]) / 1.1, 2 / np.pi * np.arctan(np.abs(rows["d"]) / rows["g"])

@@ -16,13 +16,14 @@ from qsmc_jax.cli.console import progress_bar, say, waiting
 from qsmc_jax.cli.study_file import load_study
 
 if TYPE_CHECKING:
-    from qsmc_jax.simulate.outcome import Verdict
+    from qsmc_jax.simulation.outcome import Verdict
 
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Simulate and verify quasi-sliding-mode control loops. Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.",
+    help="Simulate and verify quasi-sliding-mode control loops. "
+    "Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.",
 )
 
 _BAD_INPUT, _UNDECIDED = 2, 3
@@ -82,7 +83,11 @@ def verify(
                 with waiting("drawing", quiet=as_json):
                     folder.add_figure("verification.png", result.plot())
                 folder.commit()
-        say(to_json(content) if as_json else "\n".join((str(result), _details(result, study_file, overrides or [], out))))
+        say(
+            to_json(content)
+            if as_json
+            else "\n".join((str(result), _details(result, study_file, overrides or [], out)))
+        )
     raise typer.Exit(_exit_code(result.verdict))
 
 
@@ -107,7 +112,9 @@ def simulate(
             study = load_study(study_file, overrides or [])
             settings = SolverSettings(rtol=rtol, max_steps=max_steps)
             with waiting("solving", quiet=as_json):
-                run = study.simulate(settings=settings) if index is None else study.replay(index, seed, settings=settings)
+                run = (
+                    study.simulate(settings=settings) if index is None else study.replay(index, seed, settings=settings)
+                )
             numbers = figures_as_numbers(run)
             if folder:
                 folder.add_json("run.json", numbers)
@@ -126,7 +133,7 @@ def paper(out: Out = None, as_json: Json = False) -> None:
     with _errors_told():
         from qsmc_jax.report.folder import ResultFolder, to_json
         from qsmc_jax.report.paper_table import as_text, rows, simulate_example
-        from qsmc_jax.simulate.trajectory_plots import plot_phase_plane, plot_trajectory
+        from qsmc_jax.simulation.trajectory_plots import plot_phase_plane, plot_trajectory
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             table = []
@@ -165,7 +172,7 @@ def _exit_code(verdict: "Verdict") -> int:
 
 
 def _details(result: Any, study_file: Path, overrides: list[str], out: Path | None) -> str:
-    """What goes below the table: numerical error, worst runs with the command that shows each again, where files are."""
+    """What goes below the table: numerical error, and the worst runs with the command that shows each again."""
     error = result.numerical_error
     lines = [
         f"Numerical error of sup |sigma|/rho: {error.peak_ratio:.2g} ({error.checked} runs solved again at rtol / 100, "
@@ -182,7 +189,7 @@ def _details(result: Any, study_file: Path, overrides: list[str], out: Path | No
 
 def _finding(row: dict[str, Any]) -> str:
     """One run in half a line: how close it came, or when it left and how the premises fared."""
-    from qsmc_jax.simulate.outcome import Outcome, Verdict
+    from qsmc_jax.simulation.outcome import Outcome, Verdict
 
     if row["verdict"] == Verdict.HELD:
         return f"sup |sigma|/rho {row['peak_ratio']:.6f}, sup |u| {row['peak_u']:.4g}"

@@ -34,7 +34,9 @@ class ResultFolder:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         except OSError as error:
-            raise ValueError(f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error}.") from None
+            raise ValueError(
+                f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error}."
+            ) from None
         self._writer: pq.ParquetWriter | None = None
 
     def __enter__(self) -> Self:

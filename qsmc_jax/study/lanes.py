@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.simulate.engine import pose, solve
-from qsmc_jax.simulate.figures import Figures
-from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulation.engine import pose, solve
+from qsmc_jax.simulation.figures import Figures
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import PointDraw
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study

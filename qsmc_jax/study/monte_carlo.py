@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random

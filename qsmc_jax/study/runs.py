@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.simulate.outcome import Verdict
+from qsmc_jax.simulation.outcome import Verdict
 
 CLAIMS = ("verdict", "verdict_reaching", "verdict_tracking")
 

@@ -12,8 +12,8 @@ from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import Draw
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulate.settings import SolverSettings
-from qsmc_jax.simulate.trajectory import Trajectory, check_start, simulate
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.trajectory import Trajectory, check_start, simulate
 from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
 from qsmc_jax.study.sampling import AbstractSampling, Random
 

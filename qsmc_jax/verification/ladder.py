@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from qsmc_jax.simulate.outcome import Verdict
-from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import LANE_MULTIPLE
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate, replace_rows
 
@@ -17,9 +17,9 @@ _BREACH_RTOL, _BREACH_ATOL = 1e-2, 1e-6
 class Ladder:
     """Solves doubtful runs again, on ever firmer rungs, until one decides them.
 
-    Rung 0 is the solve of the study. Rung 1 has a hundredth of its tolerance and rung 2 an implicit method for stiff loops. An
-    UNDECIDED run climbs until a rung decides it; a VIOLATED one needs a second rung to agree; a peak above what the comparison lemma
-    allows is doubtful too, and on the last rung a defect of the simulator.
+    Rung 0 is the solve of the study. Rung 1 has a hundredth of its tolerance and rung 2 an implicit method for stiff
+    loops. An UNDECIDED run climbs until a rung decides it; a VIOLATED one needs a second rung to agree; a peak above
+    what the comparison lemma allows is doubtful too, and on the last rung a defect of the simulator.
 
     Attributes:
         climbed: How many runs were solved on rung 1, 2.
@@ -99,6 +99,6 @@ def is_doubtful(table: Runs) -> np.ndarray:
 
 
 def breaches_bound(table: Runs) -> np.ndarray:
-    """Rows that HELD with a higher peak than the comparison lemma allows, where its premise (g of the known sign) holds."""
+    """Rows that HELD with a higher peak than the comparison lemma allows, where its premise on g holds."""
     allowed = table["peak_u_bound"] * (1.0 + _BREACH_RTOL) + _BREACH_ATOL
     return (table["verdict"] == Verdict.HELD) & (table["least_gain"] > 0.0) & (table["peak_u"] > allowed)

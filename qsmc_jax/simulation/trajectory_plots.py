@@ -8,7 +8,7 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure
 
 if TYPE_CHECKING:
-    from qsmc_jax.simulate.trajectory import Trajectory
+    from qsmc_jax.simulation.trajectory import Trajectory
 
 
 def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None) -> Any:

@@ -10,8 +10,8 @@ from jaxtyping import Array
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.simulate.coordinates import Scalars
-from qsmc_jax.simulate.tally import Problem, Step, Tally, add_step
+from qsmc_jax.simulation.coordinates import Scalars
+from qsmc_jax.simulation.tally import Problem, Step, Tally, add_step
 
 # |s| at which a run ends: 1 - |sigma|/rho = 1e-13, an input of 5e12. Only a loop whose input does not push back gets
 # there.

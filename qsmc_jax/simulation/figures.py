@@ -12,10 +12,10 @@ from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.base.hermite import Cubic, Quintic
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
-from qsmc_jax.simulate.coordinates import Scalars
-from qsmc_jax.simulate.guarded_solver import Run
-from qsmc_jax.simulate.outcome import Outcome, Verdict
-from qsmc_jax.simulate.tally import OutsideStep, PeakStep, Problem
+from qsmc_jax.simulation.coordinates import Scalars
+from qsmc_jax.simulation.guarded_solver import Run
+from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.tally import OutsideStep, PeakStep, Problem
 
 # A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and
 # the input does not push back now nor then.

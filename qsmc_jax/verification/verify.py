@@ -8,17 +8,17 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.simulate.outcome import Verdict
-from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.study import Study
-from qsmc_jax.verify.ladder import Ladder, firmer, is_doubtful
-from qsmc_jax.verify.statistics import clopper_pearson
-from qsmc_jax.verify.summary import Summary
-from qsmc_jax.verify.verification import Claim, NumericalError, Verification
+from qsmc_jax.verification.ladder import Ladder, firmer, is_doubtful
+from qsmc_jax.verification.result import Claim, NumericalError, Verification
+from qsmc_jax.verification.statistics import clopper_pearson
+from qsmc_jax.verification.summary import Summary
 
 _STATEMENTS = {
     "funnel": "|sigma(t)| < rho(t) for all t",
@@ -45,8 +45,9 @@ def verify(
 ) -> Verification:
     """Finds out by independent runs whether the funnel guarantee holds, and how sure that is.
 
-    Doubtful runs are solved again on firmer rungs and never dropped; what stays undecided widens the intervals both ways. A random sample
-    and the worst runs are solved again at a hundredth of the tolerance. Memory does not grow with the number of runs.
+    Doubtful runs are solved again on firmer rungs and never dropped; what stays undecided widens the intervals both
+    ways. A random sample and the worst runs are solved again at a hundredth of the tolerance. Memory does not grow with
+    the number of runs.
 
     Args:
         study: The study.
@@ -90,7 +91,9 @@ def verify(
         seed=seed,
         confidence=confidence,
         settings=settings,
-        claims=tuple(_claim(summary, name, column, confidence) for name, column in zip(_STATEMENTS, CLAIMS, strict=True)),
+        claims=tuple(
+            _claim(summary, name, column, confidence) for name, column in zip(_STATEMENTS, CLAIMS, strict=True)
+        ),
         worst=concatenate(summary.worst),
         numerical_error=numerical_error,
         climbed=tuple(ladder.climbed),

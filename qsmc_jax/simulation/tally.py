@@ -15,7 +15,7 @@ from qsmc_jax.base.hermite import Cubic
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulate.coordinates import AbstractCoordinates, Scalars
+from qsmc_jax.simulation.coordinates import AbstractCoordinates, Scalars
 
 # Gauss-Lobatto rule with four nodes on [0, 1], exact for polynomials of degree 5: the ends and 1/2 -+ 1/(2 sqrt 5).
 _LOBATTO_NODES = (0.5 - 0.1 * 5**0.5, 0.5 + 0.1 * 5**0.5)

@@ -4,13 +4,13 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from qsmc_jax.simulate.outcome import Outcome, Verdict
-from qsmc_jax.simulate.settings import SolverSettings
+from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
-from qsmc_jax.verify.statistics import runs_needed
-from qsmc_jax.verify.summary import Histogram
-from qsmc_jax.verify.verification_plots import plot_verification
+from qsmc_jax.verification.result_plots import plot_verification
+from qsmc_jax.verification.statistics import runs_needed
+from qsmc_jax.verification.summary import Histogram
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +137,8 @@ class Verification:
         interval = f"the probability of leaving the funnel lies in [{funnel.low:.3g}, {funnel.high:.3g}] {sure}"
         if self.verdict == Verdict.VIOLATED:
             reasons = {Outcome(int(code)).advice for code in self.worst["outcome"] if code != Outcome.COMPLETED}
-            return f"VIOLATED: of {admitted} admissible runs {funnel.violated} left the funnel; {interval}. {' '.join(sorted(reasons))}"
+            found = f"of {admitted} admissible runs {funnel.violated} left the funnel"
+            return " ".join((f"VIOLATED: {found}; {interval}.", *sorted(reasons)))
         if self.verdict == Verdict.UNDECIDED:
             return f"UNDECIDED: {self._doubts()} Counting undecided runs both ways, {interval}."
         return f"HELD in all {admitted} admissible runs: {interval}."
@@ -146,14 +147,16 @@ class Verification:
         doubts = [f"{c.undecided} runs undecided on {c.name}." for c in self.claims if c.undecided]
         doubts += [f"No admissible run for {c.name}." for c in self.claims if c.verdict == Verdict.INADMISSIBLE]
         if self.defects:
-            doubts.append(f"{len(self.defects)} peaks break the comparison bound, a defect of the simulator: please report it.")
+            doubts.append(
+                f"{len(self.defects)} peaks break the comparison bound, a defect of the simulator: please report it."
+            )
         if self.numerical_error.changed:
             doubts.append(f"{self.numerical_error.changed} verdicts change with the tolerance: lower `rtol`.")
         codes = sorted({int(code) for code in self.worst["outcome"]} - {0})
         return " ".join(doubts + [Outcome(code).advice for code in codes])
 
     def plot(self) -> Any:
-        """The funnel with bands of the runs and the worst run, and the distributions of margin and reach time, as a figure."""
+        """The funnel with bands of the runs and the worst run, and the distributions of margin and reach time."""
         return plot_verification(self)
 
     def plan(self, probability: float) -> int:
@@ -162,7 +165,9 @@ class Verification:
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {self.study.bandwidth:g}"]
-        rows.append(f"{'claim':10}{'held':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   violation probability")
+        rows.append(
+            f"{'claim':10}{'held':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   violation probability"
+        )
         for c in self.claims:
             counts = f"{c.held:9d}{c.violated:10d}{c.undecided:11d}{c.inadmissible:14d}"
             rows.append(f"{c.name:10}{counts}   [{c.low:.3g}, {c.high:.3g}]")

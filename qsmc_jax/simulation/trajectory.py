@@ -14,12 +14,12 @@ from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulate.engine import pose, solve
-from qsmc_jax.simulate.figures import Figures
-from qsmc_jax.simulate.outcome import Outcome, Verdict
-from qsmc_jax.simulate.settings import SolverSettings
-from qsmc_jax.simulate.tally import Problem
-from qsmc_jax.simulate.trajectory_plots import plot_phase_plane, plot_trajectory
+from qsmc_jax.simulation.engine import pose, solve
+from qsmc_jax.simulation.figures import Figures
+from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.tally import Problem
+from qsmc_jax.simulation.trajectory_plots import plot_phase_plane, plot_trajectory
 
 _DEFAULT_TIMES = 2001
 
@@ -174,7 +174,7 @@ def _solve_and_sample(
     start = tuple(x0[i] for i in range(loop.order))
     figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts))
     signals = jax.vmap(lambda t, y: _signals(problem, t, y))(jnp.asarray(ts), saved)
-    has_ended = ts > figures.end_time
+    has_ended = (ts > figures.end_time) | (figures.verdict == Verdict.INADMISSIBLE)
     x, desired, e, sigma, rho, u, d = signals
     x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (x, e))
     sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (sigma, u))

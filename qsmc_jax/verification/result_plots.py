@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, new_figure
-from qsmc_jax.verify.summary import Histogram
+from qsmc_jax.verification.summary import Histogram
 
 if TYPE_CHECKING:
-    from qsmc_jax.verify.verification import Verification
+    from qsmc_jax.verification.result import Verification
 
 _BAND_RUNS = 64
 _BAND_TIMES = 1001

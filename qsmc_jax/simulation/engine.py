@@ -10,12 +10,12 @@ from qsmc_jax.base.types import RealScalarLike, State
 from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulate.coordinates import named_coordinates
-from qsmc_jax.simulate.figures import Ending, Figures, read_figures
-from qsmc_jax.simulate.guarded_solver import GuardedSolver, Run
-from qsmc_jax.simulate.outcome import Outcome
-from qsmc_jax.simulate.settings import SolverSettings
-from qsmc_jax.simulate.tally import Problem, first_tally
+from qsmc_jax.simulation.coordinates import named_coordinates
+from qsmc_jax.simulation.figures import Ending, Figures, read_figures
+from qsmc_jax.simulation.guarded_solver import GuardedSolver, Run
+from qsmc_jax.simulation.outcome import Outcome
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.tally import Problem, first_tally
 
 # The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends
 # there.
@@ -52,7 +52,8 @@ def solve(
         ts: Times [s] at which to save the integrated coordinates, sorted, within [0, t1].
 
     Returns:
-        The figures, and the coordinates at `ts` (n arrays; not finite after the end of a run that stopped early).
+        The figures, and the coordinates at `ts` (n arrays; meaningless after the end of a run that stopped early
+        or was refused).
     """
     return vectorised(_solve)(problem, x0, t1, settings, ts)
 
@@ -65,6 +66,7 @@ def _solve(
     horizon = jnp.asarray(t1)
     # A refused run is given no time: it takes no step, and holds up nobody in its block.
     end = jnp.where(is_admitted, horizon, 0.0)
+    times = None if ts is None else jnp.where(is_admitted, ts, 0.0)
     y0 = trees.where(is_admitted, problem.coordinates.start(problem.loop, x0), tuple(x0))
     run0 = Run(y0, first_tally(problem, y0))
     solution = dfx.diffeqsolve(
@@ -75,7 +77,7 @@ def _solve(
         dt0=_FIRST_STEP * horizon,
         y0=run0,
         args=problem,
-        saveat=_saveat(ts),
+        saveat=_saveat(times),
         stepsize_controller=_controller(problem, horizon, settings),
         max_steps=settings.max_steps,
         throw=False,

@@ -1,10 +1,10 @@
-"""What verification keeps of a stream of runs: counts, the worst runs, histograms. Its size does not grow with the runs."""
+"""What verification keeps of a stream of runs: counts, the worst runs, histograms, however many runs there are."""
 
 import dataclasses
 
 import numpy as np
 
-from qsmc_jax.simulate.outcome import Verdict
+from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 
 _BINS = 60
@@ -85,7 +85,7 @@ class Summary:
 
 
 def worst_first(table: Runs) -> np.ndarray:
-    """Row numbers: VIOLATED first, then UNDECIDED, then HELD by rising margin, INADMISSIBLE last; of equals the lower index."""
+    """Row numbers: VIOLATED, UNDECIDED, HELD by rising margin, INADMISSIBLE; of equals the lower index first."""
     order = (Verdict.VIOLATED, Verdict.UNDECIDED, Verdict.HELD)
     rank = np.select([table["verdict"] == verdict for verdict in order], range(3), 3)
     return np.lexsort((table["index"], np.nan_to_num(table["margin"]), rank))

@@ -1,0 +1,141 @@
+"""No violation missed: loops whose escape from the funnel is known in closed form (`problems.VIOLATED`)."""
+
+import functools as ft
+import math
+
+import numpy as np
+import pytest
+
+import problems
+import qsmc_jax as qj
+
+# One compiled program each.
+ROUTES = {
+    "funnel": ft.partial(qj.SolverSettings),
+    "physical": ft.partial(qj.SolverSettings, coordinates="physical"),
+    "kvaerno5": ft.partial(qj.SolverSettings, method="kvaerno5"),
+}
+# Where the gain has the wrong sign nothing damps the errors of the steps: they add up to some thirty times the tolerance.
+DEFAULT_ATOL, TIGHT_ATOL = 5e-5, 1e-6
+TIGHT = {"rtol": qj.tight().rtol, "atol": qj.tight().atol}
+# The energy is not under error control: its error is that of the rule on steps made for the coordinates, and those of the
+# physical route are long where the input, but not the state, falls steeply.
+ENERGY_RTOL = {"funnel": 1e-4, "physical": 1e-2, "kvaerno5": 1e-6}
+
+
+@pytest.fixture(params=ROUTES, scope="module")
+def route(request):
+    return request.param
+
+
+@pytest.mark.parametrize("problem", problems.VIOLATED, ids=str)
+@pytest.mark.parametrize(("preset", "atol"), [({}, DEFAULT_ATOL), (TIGHT, TIGHT_ATOL)], ids=["default", "tight"])
+def test_escape_is_found_when_it_happens(route, problem, preset, atol):
+    run = problem.simulate(ROUTES[route](**preset))
+    assert run.verdict == qj.Verdict.VIOLATED
+    assert run.outcome == qj.Outcome.LEFT_FUNNEL
+    assert float(run.figures.violation_time) == pytest.approx(problem.answers["violation_time"], abs=atol, rel=0)
+
+
+@pytest.mark.parametrize("problem", problems.HELD, ids=str)
+def test_loop_that_stays_inside_is_held_with_the_figures_of_its_closed_form(route, problem):
+    run = problem.simulate(ROUTES[route]())
+    assert run.verdict == qj.Verdict.HELD
+    for name, answer in problem.answers.items():
+        found = run.x[-1, 0] if name == "x1" else float(getattr(run.figures, name))
+        rtol = {"energy_u": ENERGY_RTOL[route], "reach_time": 1e-4}.get(name, 1e-5)
+        assert found == pytest.approx(answer, rel=rtol), name
+
+
+@pytest.fixture(scope="module")
+def escaped():
+    return problems.VIOLATED[0].simulate()
+
+
+@pytest.mark.parametrize(
+    ("figure", "value"),
+    {
+        "verdict": qj.Verdict.VIOLATED,
+        "verdict_reaching": qj.Verdict.VIOLATED,
+        "verdict_tracking": qj.Verdict.VIOLATED,
+        "peak_ratio": 1.0,
+        "margin": 0.0,
+        "peak_u": math.inf,
+        "reach_time": math.inf,
+        "settle_time": math.inf,
+        "least_gain": -1.0,
+    }.items(),
+)
+def test_figures_of_an_escape(escaped, figure, value):
+    assert float(getattr(escaped.figures, figure)) == value
+
+
+def test_signals_end_with_the_escape(escaped):
+    ended = escaped.ts > float(escaped.figures.violation_time)
+    assert np.all(np.isnan(escaped.sigma[ended]))
+    assert np.all(np.isfinite(escaped.sigma[~ended]))
+
+
+def test_advice_names_the_reason(escaped):
+    assert "gain_sign" in str(escaped)
+    assert "least_gain" in escaped.outcome.advice
+
+
+def test_gain_of_the_wrong_sign_for_a_while_shows_in_the_least_gain():
+    problem = problems.HELD[2]
+    run = problem.simulate()
+    assert run.verdict == qj.Verdict.HELD
+    # Met at the ends of steps only, so not quite the least there is.
+    assert float(run.figures.least_gain) == pytest.approx(-float(problem.loop.plant.gain_scale), rel=0.05)
+
+
+def wrong_sign(draw):
+    """Loops of order 1 in a constant funnel whose gain has the wrong sign, from anywhere in the funnel."""
+    gain, z0 = draw.uniform("gain", 0.5, 2.0), draw.uniform("z0", 0.01, 0.999)
+    loop = problems.scalar_loop(problems.STILL, draw.parameter("sign", -1.0, bounds=(-1.0, 1.0)), gain_scale=gain)
+    return qj.Scenario(loop, x0=[z0 * problems.WIDTH], t1=20.0)
+
+
+@pytest.fixture(scope="module")
+def wrong_sign_runs():
+    return solve_lanes({})
+
+
+def solve_lanes(preset, **values):
+    study = qj.Study(wrong_sign, bandwidth=problems.STILL_BANDWIDTH).substitute(**values)
+    return qj.monte_carlo(study, 256, settings=qj.SolverSettings(**preset), block=64)
+
+
+@pytest.mark.parametrize(("preset", "atol"), [({}, DEFAULT_ATOL), (TIGHT, TIGHT_ATOL)], ids=["default", "tight"])
+def test_every_lane_escapes_when_it_must(preset, atol):
+    runs = solve_lanes(preset)
+    times = [problems.escape_time(z0, gain) for z0, gain in zip(runs["z0"], runs["gain"], strict=True)]
+    assert runs.counts()[qj.Verdict.VIOLATED] == len(runs)
+    np.testing.assert_allclose(runs["violation_time"], times, rtol=0, atol=atol)
+
+
+def test_every_lane_names_the_broken_premise(wrong_sign_runs):
+    np.testing.assert_allclose(wrong_sign_runs["least_gain"], -wrong_sign_runs["gain"])
+
+
+def test_right_sign_leaves_every_lane_held():
+    runs = solve_lanes({}, sign=1.0)
+    assert runs.counts()[qj.Verdict.HELD] == len(runs)
+    np.testing.assert_allclose(runs["peak_ratio"], runs["z0"], rtol=1e-9)
+
+
+def test_start_outside_is_inadmissible_and_takes_no_step():
+    loop = problems.scalar_loop(problems.STILL)
+    run = qj.simulate(loop, [1.5 * problems.WIDTH], 20.0, bandwidth=problems.STILL_BANDWIDTH)
+    assert run.verdict == qj.Verdict.INADMISSIBLE
+    assert run.outcome == qj.Outcome.STARTED_OUTSIDE
+    assert int(run.figures.steps) == 0
+    assert np.isnan(float(run.figures.peak_ratio))
+    assert np.all(np.isnan(run.x))
+
+
+def test_premise_is_strict_at_the_edge():
+    loop = problems.scalar_loop(problems.STILL)
+    starts = ((1 - 1e-6) * problems.WIDTH, problems.WIDTH)
+    runs = [qj.simulate(loop, [x0], 20.0, bandwidth=problems.STILL_BANDWIDTH) for x0 in starts]
+    assert [run.verdict for run in runs] == [qj.Verdict.HELD, qj.Verdict.INADMISSIBLE]
