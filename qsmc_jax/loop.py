@@ -37,7 +37,7 @@ class ClosedLoop(AbstractModule):
         control: The control law with its surface (n - 1 coefficients) and funnel.
 
     Raises:
-        ValueError: The surface does not have n - 1 coefficients.
+        ValueError: The surface does not have n - 1 coefficients, or the plant's drift or gain is not one number.
 
     Source: paper, eqs. (1), (2), (4).
     """
@@ -54,6 +54,8 @@ class ClosedLoop(AbstractModule):
             f"Argument `c` of the sliding surface must have {order - 1} coefficients for a plant of order {order}, but "
             f"has {has - 1}. `SlidingSurface.binomial(a, {order})` makes a fitting one.",
         )
+        for method in ("drift", "gain"):
+            _require_scalar(self.plant, method)
 
     @property
     def order(self) -> int:
@@ -93,7 +95,8 @@ class ClosedLoop(AbstractModule):
 def _require_scalar(plant: AbstractPlant, method: str) -> None:
     """Raises unless a method of the plant returns one number for a state of its order."""
     number = jax.ShapeDtypeStruct((), float)
-    result = jax.eval_shape(getattr(plant, method), number, (number,) * plant.order)
+    with jax.enable_x64(True):
+        result = jax.eval_shape(getattr(plant, method), number, (number,) * plant.order)
     shape = getattr(result, "shape", None)
     found = type(result).__name__ if shape is None else f"shape {shape}"
     require(

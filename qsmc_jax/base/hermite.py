@@ -6,7 +6,6 @@ cubic, never off a save grid. Slopes are per step: `m = h * dy/dt`.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
@@ -60,27 +59,41 @@ class Cubic(NamedTuple):
 
 
 class Quintic(NamedTuple):
-    r"""$p(\theta)$, $\theta \in [0, 1]$, with values y, slopes m and second derivatives q at both ends, per step."""
+    r"""$p(\theta)$, $\theta \in [0, 1]$, with values, slopes m and second derivatives q given at both ends, per step."""
 
     ends: Cubic
     q0: RealScalarLike
     q1: RealScalarLike
 
+    def coefficients(self) -> tuple[RealScalarLike, ...]:
+        r"""The coefficients of $p$, the constant first."""
+        a, b, m0 = self.ends.coefficients()
+        # What the second derivatives lack in the cubic, times (1 - theta)^2 theta^2 / 2, blended from one end to the other.
+        lack0, lack1 = 0.5 * self.q0 - b, 0.5 * self.q1 - b - 3.0 * a
+        blend = lack1 - lack0
+        return self.ends.y0, m0, b + lack0, a - 2.0 * lack0 + blend, lack0 - 2.0 * blend, blend
+
     def __call__(self, theta: RealScalarLike) -> RealScalarLike:
-        """The value at `theta`: the cubic, and what the second derivatives add, flat to first order at both ends."""
-        a, b, _ = self.ends.coefficients()
-        lack0, lack1 = self.q0 - 2.0 * b, self.q1 - 2.0 * b - 6.0 * a
-        hump = 0.5 * theta * theta * (1.0 - theta) ** 2
-        return self.ends(theta) + hump * (lack0 * (1.0 - theta) + lack1 * theta)
+        """The value at `theta`."""
+        return _horner(self.coefficients(), theta)
 
     def turn_near(self, theta: RealScalarLike) -> RealScalarLike:
         """The turning point next to `theta`, where the cubic turns: two Newton steps, kept inside [0, 1]."""
-        slope = jax.grad(self.__call__)
+        slope = tuple(k * c for k, c in enumerate(self.coefficients()) if k > 0)
+        curvature = tuple(k * c for k, c in enumerate(slope) if k > 0)
         for _ in range(2):
-            curvature = jax.grad(slope)(theta)
-            step = slope(theta) / jnp.where(curvature == 0.0, jnp.inf, curvature)
+            bend = _horner(curvature, theta)
+            step = _horner(slope, theta) / jnp.where(bend == 0.0, jnp.inf, bend)
             theta = jnp.clip(theta - step, 0.0, 1.0)
         return stop_gradient(theta)
+
+
+def _horner(coefficients: tuple[RealScalarLike, ...], theta: RealScalarLike) -> RealScalarLike:
+    """The polynomial with the given coefficients, the constant first."""
+    value = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        value = coefficient + theta * value
+    return value
 
 
 def _quotient(numerator: RealScalarLike, denominator: RealScalarLike) -> RealScalarLike:

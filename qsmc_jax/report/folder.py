@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -39,7 +39,7 @@ class ResultFolder:
             ) from None
         self._writer: pq.ParquetWriter | None = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "ResultFolder":
         return self
 
     def __exit__(

@@ -225,32 +225,37 @@ def _sharpened(problem: Problem, step: PeakStep) -> Peak:
 
     Every step is searched by its cubic, which costs nothing; the one that matters gets the order of the solver.
     """
-    rates = ft.partial(_s_rate_and_acceleration, problem)
-    s0, rate0, acceleration0, dy0 = rates(step.start, step.y0)
-    s1, rate1, acceleration1, dy1 = rates(step.start + step.length, step.y1)
     h = step.length
-    cubic = Cubic(s0, s1, h * rate0, h * rate1)
-    quintic = Quintic(cubic, h * h * acceleration0, h * h * acceleration1)
-    theta, height = jnp.ones(()), jnp.abs(s1)
-    for candidate in (jnp.zeros(()), *map(quintic.turn_near, cubic.turning_points())):
-        value = jnp.abs(quintic(candidate))
-        theta, height = jnp.where(value > height, candidate, theta), jnp.maximum(value, height)
-    y = tuple(Cubic(a, b, h * da, h * db)(theta) for a, b, da, db in zip(step.y0, step.y1, dy0, dy1, strict=True))
-    return Peak(height, step.start + theta * h, y)
+    times = jnp.stack([step.start, step.start + h])
+    ends = tuple(map(jnp.stack, zip(step.y0, step.y1, strict=True)))
+    s, rate, acceleration, dy = jax.vmap(ft.partial(_motion, problem))(times, ends)
+    cubic = Cubic(s[0], s[1], h * rate[0], h * rate[1])
+    quintic = Quintic(cubic, h * h * acceleration[0], h * h * acceleration[1])
+    theta, height = jnp.ones(()), jnp.abs(s[1])
+    for place in (jnp.zeros(()), *cubic.turning_points()):
+        is_higher = jnp.abs(cubic(place)) > height
+        theta, height = jnp.where(is_higher, place, theta), jnp.where(is_higher, jnp.abs(cubic(place)), height)
+    is_inside = (theta > 0.0) & (theta < 1.0)
+    theta = jnp.where(is_inside, quintic.turn_near(theta), theta)
+    y = tuple(
+        Cubic(a, b, h * da, h * db)(theta)
+        for a, b, da, db in zip(step.y0, step.y1, *zip(*dy, strict=True), strict=True)
+    )
+    return Peak(jnp.abs(quintic(theta)), step.start + theta * h, y)
 
 
-def _s_rate_and_acceleration(
+def _motion(
     problem: Problem, t: RealScalarLike, y: Scalars
 ) -> tuple[RealScalarLike, RealScalarLike, RealScalarLike, Scalars]:
     """s, its first and second derivative, and the derivative of `y`."""
     loop, coordinates = problem.loop, problem.coordinates
 
-    def rate(t: RealScalarLike, y: Scalars) -> RealScalarLike:
-        return coordinates.funnel_motion(loop, t, y, coordinates.vector_field(t, y, loop))[1]
+    def rates(t: RealScalarLike, y: Scalars) -> tuple[RealScalarLike, Scalars]:
+        dy = coordinates.vector_field(t, y, loop)
+        return coordinates.funnel_motion(loop, t, y, dy)[1], tuple(map(jnp.asarray, dy))
 
-    dy = tuple(jnp.asarray(v) for v in coordinates.vector_field(t, y, loop))
-    t, one = jnp.asarray(t), jnp.ones(())
-    s_rate, acceleration = jax.jvp(rate, (t, y), (one, dy))
+    dy = rates(t, y)[1]
+    (s_rate, _), (acceleration, _) = jax.jvp(rates, (t, y), (jnp.ones(()), dy))
     return coordinates.funnel_coordinate(loop, t, y), s_rate, acceleration, dy
 
 

@@ -86,7 +86,7 @@ def stream(
     """
     lanes = Lanes(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
-    threads = threads or os.cpu_count() or 1
+    threads = os.cpu_count() or 1 if threads is None else threads
     require(threads >= 1, f"Argument `threads` must be at least 1, but is {threads}.")
 
     def work(start: int) -> Runs:

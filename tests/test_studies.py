@@ -1,0 +1,50 @@
+"""Every study in studies/ runs and comes out as its docstring claims; the paper's from all their starts."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import qsmc_jax as qj
+from qsmc_jax.report.paper_table import as_text, rows, simulate_example
+
+STUDIES = Path(__file__).parent.parent / "studies"
+CLAIMED = {
+    "paper_example1": qj.Verdict.HELD,
+    "duffing": qj.Verdict.HELD,
+    "cooling": qj.Verdict.HELD,
+    "wrong_gain_sign": qj.Verdict.VIOLATED,
+}
+LONG = {
+    "paper_example2": qj.Verdict.HELD,
+    "example1_uncertain": qj.Verdict.HELD,
+    "example2_uncertain": qj.Verdict.HELD,
+}
+
+
+def run(name):
+    """64 runs of a study."""
+    study = runpy.run_path(str(STUDIES / f"{name}.py"))["study"]
+    return qj.monte_carlo(study, 64, block=64)
+
+
+def test_every_study_is_tried():
+    assert {path.stem for path in STUDIES.glob("*.py")} == {*CLAIMED, *LONG}
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [*CLAIMED.items(), *(pytest.param(*item, marks=pytest.mark.slow) for item in LONG.items())],
+    ids=[*CLAIMED, *LONG],
+)
+def test_a_study_comes_out_as_it_claims(name, verdict):
+    runs = run(name)
+    assert np.all(runs["verdict"] == verdict)
+    assert len(runs.names) > 0
+
+
+def test_the_paper_table_is_met_for_example_1():
+    table = rows(1, simulate_example(1))
+    assert all(row.is_met for row in table)
+    assert "0.725089" in as_text(table)  # oracles: .725089072754182 from (.1, .1)
