@@ -106,7 +106,7 @@ def example2():
 
 PAPER = [*_paper(1, example1), *_paper(2, example2)]
 
-# A funnel constant to 1e-10 over the horizons here (C2 asks for rho0 > bandwidth > rho_inf, so it can't be of rho_inf alone).
+# A funnel constant to 1e-10 over the horizons here (C2, rho0 > bandwidth > rho_inf, forbids one of rho_inf alone).
 WIDTH = 1.5
 STILL = qj.Funnel(rho0=1.0, mu=1e-12, rho_inf=0.5)
 STILL_BANDWIDTH = 0.75

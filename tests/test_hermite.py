@@ -44,13 +44,15 @@ def test_cubic_is_exact_on_cubics(coefficients):
 @given(CUBICS)
 def test_slope_is_exact_on_cubics(coefficients):
     p = Polynomial(coefficients)
-    np.testing.assert_allclose(cubic_slopes(cubic_of(p), THETAS), p.deriv()(THETAS), rtol=0, atol=1e-12 * scale(coefficients))
+    slopes = cubic_slopes(cubic_of(p), THETAS)
+    np.testing.assert_allclose(slopes, p.deriv()(THETAS), rtol=0, atol=1e-12 * scale(coefficients))
 
 
 @given(st.tuples(*[NUMBER] * 6))
 def test_quintic_is_exact_on_quintics(coefficients):
     p = Polynomial(coefficients)
-    np.testing.assert_allclose(quintic_values(quintic_of(p), THETAS), p(THETAS), rtol=0, atol=1e-12 * scale(coefficients))
+    values = quintic_values(quintic_of(p), THETAS)
+    np.testing.assert_allclose(values, p(THETAS), rtol=0, atol=1e-12 * scale(coefficients))
 
 
 @given(CUBICS)

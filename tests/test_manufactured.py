@@ -1,4 +1,4 @@
-"""Manufactured runs: sigma / rho = Z sin(w t) is chosen first, and the disturbance that makes it so follows in closed form."""
+"""Manufactured runs: sigma / rho = Z sin(w t) is chosen, and the disturbance that makes it so follows."""
 
 import dataclasses
 import math
@@ -22,7 +22,8 @@ TIGHT = qj.SolverSettings(qj.tight().rtol, qj.tight().atol)
 class Manufactured(qj.AbstractDisturbance):
     r"""The d(t) under which a loop of order 1 or 2 has $\sigma^* = \rho Z \sin \omega t$, following $x_{des} = \sin t$.
 
-    $d = \dot\sigma^* - f(x^*) - c \dot e^* + x_{des}^{(n)} + g \tan(\pi Z \sin(\omega t) / 2)$. For n = 2, $\dot e^* = \sigma^* - c e^*$
+    $d = \dot\sigma^* - f(x^*) - c \dot e^* + x_{des}^{(n)} + g \tan(\pi Z \sin(\omega t) / 2)$. For n = 2,
+    $\dot e^* = \sigma^* - c e^*$
     is solved by $e^* = Z (\rho_0 R(c - \mu, \mu) + \rho_\infty R(c, 0))$ with
     $R(a, m) = e^{-m t} (a \sin \omega t - \omega \cos \omega t) / (a^2 + \omega^2)$.
     """

@@ -1,4 +1,4 @@
-"""The paper's seven runs against figures solved apart from this project, and against dense sampling of their signals."""
+"""The paper's seven runs against figures solved apart from this project, and against dense sampling of the signals."""
 
 import numpy as np
 import pytest

@@ -59,7 +59,7 @@ class Cubic(NamedTuple):
 
 
 class Quintic(NamedTuple):
-    r"""$p(\theta)$, $\theta \in [0, 1]$, with values, slopes m and second derivatives q given at both ends, per step."""
+    r"""$p(\theta)$, $\theta \in [0, 1]$, with values, slopes m, second derivatives q at both ends, per step."""
 
     ends: Cubic
     q0: RealScalarLike
@@ -68,7 +68,7 @@ class Quintic(NamedTuple):
     def coefficients(self) -> tuple[RealScalarLike, ...]:
         r"""The coefficients of $p$, the constant first."""
         a, b, m0 = self.ends.coefficients()
-        # What the second derivatives lack in the cubic, times (1 - theta)^2 theta^2 / 2, blended from one end to the other.
+        # What the cubic's second derivatives lack, times theta^2 (1 - theta)^2, blended from one end to the other.
         lack0, lack1 = 0.5 * self.q0 - b, 0.5 * self.q1 - b - 3.0 * a
         blend = lack1 - lack0
         return self.ends.y0, m0, b + lack0, a - 2.0 * lack0 + blend, lack0 - 2.0 * blend, blend

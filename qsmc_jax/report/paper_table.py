@@ -8,7 +8,6 @@ from qsmc_jax import paper
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.trajectory import Trajectory, simulate
 
-
 _ROUNDING = 0.01  # the paper prints two digits behind the point
 
 
