@@ -1,4 +1,4 @@
-"""Funnel coordinate and guarded physical route against SciPy on its own right-hand side, n = 1 to 5, either sign of g."""
+"""Funnel coordinate and guarded physical route against SciPy on its own right-hand side: n = 1 to 5, both signs."""
 
 import functools as ft
 import math

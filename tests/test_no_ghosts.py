@@ -26,7 +26,9 @@ def narrowing(rho_inf):
 @ft.cache
 def true_peaks(rho_inf, runs, block):
     settings = qj.SolverSettings(qj.tight().rtol, qj.tight().atol)
-    return qj.monte_carlo(narrowing(rho_inf).substitute(t1=ALL_SEEN), runs, settings=settings, block=block)["peak_ratio"]
+    return qj.monte_carlo(narrowing(rho_inf).substitute(t1=ALL_SEEN), runs, settings=settings, block=block)[
+        "peak_ratio"
+    ]
 
 
 def check_held(rho_inf, rtol, runs, block):

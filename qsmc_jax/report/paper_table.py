@@ -52,7 +52,7 @@ def rows(number: int, runs: list[Trajectory]) -> list[Row]:
     last_quarter = first.ts > 0.75 * paper.HORIZON
     for i, bound in enumerate(bounds):
         peak = max(float(np.abs(run.e[last_quarter, i]).max()) for run in runs)
-        table.append(_row(number, f"|e^({i})| in the end, any start", f"<= {bound:.4g}", peak, peak <= bound))
+        table.append(_row(number, f"|e^({i})| in the end, any start", f"<= {bound:.4g}", peak, peak <= float(bound)))
     return table
 
 
