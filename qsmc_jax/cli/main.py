@@ -52,7 +52,7 @@ def verify(
     worst: Annotated[int, typer.Option(help="How many of the worst runs to list.")] = 5,
     rtol: Rtol = 1e-6,
     max_steps: MaxSteps = 100_000,
-    block: Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")] = 1024,
+    block: Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")] = 256,
     threads: Annotated[int | None, typer.Option(help="Blocks solved at once; default one a core.")] = None,
 ) -> None:
     """Verify the three claims of Theorem 1 by independent random runs, each with an exact interval."""

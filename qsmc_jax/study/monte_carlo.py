@@ -14,7 +14,8 @@ from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.study import Study
 
-BLOCK = 1024
+# Small enough that a sample for the numerical error and a few doubtful runs cost little, large enough to vectorise.
+BLOCK = 256
 
 Progress = Callable[[int, int], None]
 
