@@ -228,7 +228,8 @@ def _sharpened(problem: Problem, step: PeakStep) -> Peak:
     h = step.length
     times = jnp.stack([step.start, step.start + h])
     ends = tuple(map(jnp.stack, zip(step.y0, step.y1, strict=True)))
-    s, rate, acceleration, dy = jax.vmap(ft.partial(_motion, problem))(times, ends)
+    at_ends: Any = jax.vmap(ft.partial(_motion, problem))(times, ends)
+    s, rate, acceleration, dy = at_ends
     cubic = Cubic(s[0], s[1], h * rate[0], h * rate[1])
     quintic = Quintic(cubic, h * h * acceleration[0], h * h * acceleration[1])
     theta, height = jnp.ones(()), jnp.abs(s[1])
