@@ -11,6 +11,7 @@ import problems
 import qsmc_jax as qj
 
 T1, MU, RHO_INF = 2.0, 2.0, 0.1
+ATOL = 10 * float(qj.tight().rtol)
 SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0], ids=["g > 0", "g < 0"])
 METHODS = pytest.mark.parametrize("method", ["Radau", "DOP853"])
 
@@ -60,7 +61,8 @@ def ours(n, sign, route):
     plant = problems.chain(n)(1.0, 2.0 * sign, 1.0 / 3.0, 0.5)
     control = qj.QuasiSlidingControl(qj.SlidingSurface(surface(n)[:-1]), qj.Funnel(rho0(n), MU, RHO_INF), sign)
     loop = qj.ClosedLoop(plant, qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Sine(0.5, 3.0), control)
-    return qj.simulate(loop, start(n), T1, settings=qj.SolverSettings(coordinates=route))
+    settings = qj.SolverSettings(qj.tight().rtol, qj.tight().atol, coordinates=route)
+    return qj.simulate(loop, start(n), T1, settings=settings)
 
 
 def case(n, route, *marks):
@@ -84,7 +86,7 @@ ROUTES = pytest.mark.parametrize(
 @ROUTES
 def test_last_state_is_scipys(n, route, sign, method):
     x1, _ = scipys(n, sign, method)
-    np.testing.assert_allclose(ours(n, sign, route).x[-1], x1, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(ours(n, sign, route).x[-1], x1, rtol=0, atol=ATOL)
 
 
 @METHODS
@@ -92,7 +94,7 @@ def test_last_state_is_scipys(n, route, sign, method):
 @ROUTES
 def test_peak_ratio_is_scipys(n, route, sign, method):
     _, peak = scipys(n, sign, method)
-    assert float(ours(n, sign, route).figures.peak_ratio) == pytest.approx(peak, abs=1e-5)
+    assert float(ours(n, sign, route).figures.peak_ratio) == pytest.approx(peak, abs=ATOL)
 
 
 @SIGNS
