@@ -4,8 +4,6 @@ See `simulate` for one run, `Study` and `monte_carlo` for many, `verify` for a v
 """
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -91,14 +89,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_HOMES, *_NAMESPACES})
-
-
-class _Package(ModuleType):
-    """Keeps the verbs `simulate` and `verify` when the subpackages of these names are imported, in whatever order."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOMES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
