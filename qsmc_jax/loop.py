@@ -66,6 +66,10 @@ class ClosedLoop(AbstractModule):
         """The desired output and its first n derivatives at time t [s]: n + 1 scalars."""
         return self.reference.derivatives(t, self.order)
 
+    def state(self, errors: State, desired: State) -> tuple[RealScalarLike, ...]:
+        r"""The state $x_{i+1} = x_{des}^{(i)} + e^{(i)}$; `desired` is `self.desired(t)`, which callers have."""
+        return tuple(ei + di for ei, di in zip(errors, desired, strict=False))
+
     def errors(self, t: RealScalarLike, x: State) -> tuple[RealScalarLike, ...]:
         r"""The errors $e^{(i)} = x_{i+1} - x_{des}^{(i)}$, i = 0..n-1."""
         return tuple(xi - di for xi, di in zip(x, self.desired(t), strict=False))
@@ -78,10 +82,9 @@ class ClosedLoop(AbstractModule):
         """The control input u, paper eq. (4); NaN outside the funnel, where the law is not defined."""
         return self.control(self.sliding_variable(t, x), self.control.funnel(t))
 
-    def balance(self, t: RealScalarLike, x: State, desired: State) -> Balance:
+    def balance(self, t: RealScalarLike, errors: State, desired: State) -> Balance:
         """The terms of the sliding variable's derivative; `desired` is `self.desired(t)`, which callers have."""
-        d = self.disturbance(t)
-        errors = [xi - di for xi, di in zip(x, desired, strict=False)]
+        d, x = self.disturbance(t), self.state(errors, desired)
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
         return Balance(residual, self.plant.gain(t, x), d)
 

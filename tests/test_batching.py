@@ -43,7 +43,8 @@ def test_a_replayed_run_agrees_with_its_row(table):
     row = table.row(int(np.flatnonzero(table["verdict"] == qj.Verdict.HELD)[5]))
     run = study.replay(row["index"], seed=2)
     for name in ("peak_ratio", "peak_u", "reach_time", "rms_error", "energy_u", "total_variation_u"):
-        assert float(getattr(run.figures, name)) == pytest.approx(row[name], rel=1e-9), name
+        # Another program: it rounds differently, and may refuse a step that the other just kept.
+        assert float(getattr(run.figures, name)) == pytest.approx(row[name], rel=1e-6), name
 
 
 def test_one_trace_serves_all_values_tolerances_and_seeds():

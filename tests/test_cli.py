@@ -72,7 +72,8 @@ def test_simulate_replays_the_row_of_a_run(tmp_path):
     run = tmp_path / "run"
     assert qsmc("simulate", STUDY, "--index", 5, "--seed", 3, "--out", run).exit_code == 0
     figures = json.loads((run / "run.json").read_text())
-    assert figures["peak_ratio"] == pytest.approx(rows["peak_ratio"][row], rel=1e-9)
+    # Another program: it rounds differently, and may refuse a step that the other just kept.
+    assert figures["peak_ratio"] == pytest.approx(rows["peak_ratio"][row], rel=1e-6)
     assert sorted(p.name for p in run.iterdir()) == ["run.json", "run.png", "signals.parquet"]
 
 

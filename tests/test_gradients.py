@@ -10,7 +10,7 @@ import qsmc_jax as qj
 from qsmc_jax.simulation.engine import pose, solve
 
 GAINS = {"rho_inf": 0.1, "mu": 1.0}
-DEFAULT, TIGHT = 1e-6, 1e-10
+DEFAULT, TIGHT, TIGHTEST = 1e-6, 1e-10, 1e-13
 # The gradient is that of the steps taken: some ten times the tolerance off; the difference itself is good to 1e-8.
 ATOL = {DEFAULT: 2e-5, TIGHT: 1e-8}
 STEP = 1e-4
@@ -35,7 +35,7 @@ def program():
 @pytest.mark.parametrize("gain", GAINS)
 def test_gradient_is_the_central_difference(program, gain, rtol):
     (_, (verdict, peak_time)), gradient = program(GAINS, 1.0, rtol)
-    up, down = (program({**GAINS, gain: GAINS[gain] + step}, 1.0, TIGHT)[0][0] for step in (STEP, -STEP))
+    up, down = (program({**GAINS, gain: GAINS[gain] + step}, 1.0, TIGHTEST)[0][0] for step in (STEP, -STEP))
     assert verdict == qj.Verdict.HELD
     assert 0.1 < peak_time < 3.9  # inside: both gains have a say
     assert float(gradient[gain]) == pytest.approx(float(up - down) / (2 * STEP), abs=ATOL[rtol], rel=0)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from qsmc_jax.base.hermite import Cubic, Quintic
+from qsmc_jax.base.hermite import Cubic, Quartic
 
 THETAS = np.linspace(0.0, 1.0, 2001)
 NUMBER = st.floats(-1e3, 1e3, allow_subnormal=False)
@@ -18,7 +18,8 @@ turning_points = jax.jit(Cubic.turning_points)
 gradient_of_largest = jax.jit(jax.grad(Cubic.largest))
 cubic_values = jax.jit(jax.vmap(Cubic.__call__, (None, 0)))
 cubic_slopes = jax.jit(jax.vmap(Cubic.slope, (None, 0)))
-quintic_values = jax.jit(jax.vmap(Quintic.__call__, (None, 0)))
+quartic_values = jax.jit(jax.vmap(Quartic.__call__, (None, 0)))
+highest = jax.jit(Quartic.highest)
 
 
 def cubic_of(p):
@@ -26,9 +27,8 @@ def cubic_of(p):
     return Cubic(p(0.0), p(1.0), slope(0.0), slope(1.0))
 
 
-def quintic_of(p):
-    second = p.deriv(2)
-    return Quintic(cubic_of(p), second(0.0), second(1.0))
+def quartic_of(p):
+    return Quartic(cubic_of(p), p(0.5))
 
 
 def scale(ends):
@@ -48,10 +48,10 @@ def test_slope_is_exact_on_cubics(coefficients):
     np.testing.assert_allclose(slopes, p.deriv()(THETAS), rtol=0, atol=1e-12 * scale(coefficients))
 
 
-@given(st.tuples(*[NUMBER] * 6))
-def test_quintic_is_exact_on_quintics(coefficients):
+@given(st.tuples(*[NUMBER] * 5))
+def test_quartic_is_exact_on_quartics(coefficients):
     p = Polynomial(coefficients)
-    values = quintic_values(quintic_of(p), THETAS)
+    values = quartic_values(quartic_of(p), THETAS)
     np.testing.assert_allclose(values, p(THETAS), rtol=0, atol=1e-12 * scale(coefficients))
 
 
@@ -108,9 +108,23 @@ def test_gradient_of_the_maximum_is_that_at_its_place():
     np.testing.assert_allclose(gradient, [0.5, 0.5, 0.125, -0.125], atol=1e-15)
 
 
-def test_quintic_finds_the_turn_next_to_the_cubics():
-    p = Polynomial.fromroots([0.45, -1.0, 2.0, 3.0]).integ()
-    quintic = quintic_of(p)
-    guess = min(turning_points(quintic.ends), key=lambda turn: abs(float(turn) - 0.45))
+def test_quartic_finds_the_turn_next_to_the_cubics():
+    p = Polynomial.fromroots([0.45, -1.0, 2.0]).integ()
+    quartic = quartic_of(p)
+    guess = min(turning_points(quartic.ends), key=lambda turn: abs(float(turn) - 0.45))
     assert abs(float(guess) - 0.45) > 1e-5
-    assert float(jax.jit(Quintic.turn_near)(quintic, guess)) == pytest.approx(0.45, abs=1e-10)
+    assert float(jax.jit(Quartic.turn_near)(quartic, guess)) == pytest.approx(0.45, abs=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_highest_place_of_a_quartic_and_its_height(sign):
+    p = sign * (1.0 - Polynomial.fromroots([0.3]) ** 2 + 0.1 * Polynomial.fromroots([0.3]) ** 4)
+    place, height = highest(quartic_of(p))
+    assert float(place) == pytest.approx(0.3, abs=1e-9)
+    assert float(height) == pytest.approx(1.0, abs=1e-15)
+
+
+@pytest.mark.parametrize(("slope", "place"), [(-1.0, 0.0), (1.0, 1.0)])
+def test_highest_place_of_a_line_is_an_end(slope, place):
+    found, height = highest(quartic_of(Polynomial([2.0, slope])))
+    assert (float(found), float(height)) == (place, max(2.0, 2.0 + slope))

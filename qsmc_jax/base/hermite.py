@@ -4,6 +4,7 @@ A step of an adaptive solver knows the value and the slope at both ends. Figures
 cubic, never off a save grid. Slopes are per step: `m = h * dy/dt`.
 """
 
+import functools as ft
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -49,29 +50,27 @@ class Cubic(NamedTuple):
         high = jnp.where(turns, jnp.maximum(first, second), 1.0)
         return jnp.clip(low, 0.0, 1.0), jnp.clip(high, 0.0, 1.0)
 
+    def stations(self, start: RealScalarLike = 0.0) -> tuple[RealScalarLike, ...]:
+        r"""$p$ at `start` in [0, 1], at the turning points after it, and at 1; between these $p$ is monotone."""
+        return (self(start), *(self(jnp.maximum(turn, start)) for turn in self.turning_points()), self.y1)
+
     def largest(self, start: RealScalarLike = 0.0) -> RealScalarLike:
         r"""$\max |p(\theta)|$ over $\theta$ from `start` in [0, 1] on."""
-        places = (start, *(jnp.maximum(turn, start) for turn in self.turning_points()))
-        highest = jnp.abs(self.y1)
-        for place in places:
-            highest = jnp.maximum(highest, jnp.abs(self(place)))
-        return highest
+        return ft.reduce(jnp.maximum, map(jnp.abs, self.stations(start)))
 
 
-class Quintic(NamedTuple):
-    r"""$p(\theta)$, $\theta \in [0, 1]$, with values, slopes m, second derivatives q at both ends, per step."""
+class Quartic(NamedTuple):
+    r"""$p(\theta)$, $\theta \in [0, 1]$, with the ends of a cubic, and $p(1/2)$ given."""
 
     ends: Cubic
-    q0: RealScalarLike
-    q1: RealScalarLike
+    middle: RealScalarLike
 
     def coefficients(self) -> tuple[RealScalarLike, ...]:
         r"""The coefficients of $p$, the constant first."""
         a, b, m0 = self.ends.coefficients()
-        # What the cubic's second derivatives lack, times theta^2 (1 - theta)^2, blended from one end to the other.
-        lack0, lack1 = 0.5 * self.q0 - b, 0.5 * self.q1 - b - 3.0 * a
-        blend = lack1 - lack0
-        return self.ends.y0, m0, b + lack0, a - 2.0 * lack0 + blend, lack0 - 2.0 * blend, blend
+        # What the cubic lacks at 1/2, times 16 theta^2 (1 - theta)^2.
+        lack = 16.0 * self.middle - (8.0 * (self.ends.y0 + self.ends.y1) + 2.0 * (self.ends.m0 - self.ends.m1))
+        return self.ends.y0, m0, b + lack, a - 2.0 * lack, lack
 
     def __call__(self, theta: RealScalarLike) -> RealScalarLike:
         """The value at `theta`."""
@@ -86,6 +85,17 @@ class Quintic(NamedTuple):
             step = _horner(slope, theta) / jnp.where(bend == 0.0, jnp.inf, bend)
             theta = jnp.clip(theta - step, 0.0, 1.0)
         return stop_gradient(theta)
+
+    def highest(self) -> tuple[RealScalarLike, RealScalarLike]:
+        r"""Where $|p|$ is highest, and how high: the highest place of the cubic, improved if it lies inside."""
+        place, height = jnp.ones_like(self.ends.y1), jnp.abs(self.ends.y1)
+        for candidate in (jnp.zeros_like(self.ends.y0), *self.ends.turning_points()):
+            value = jnp.abs(self.ends(candidate))
+            is_higher = value > height
+            place, height = jnp.where(is_higher, candidate, place), jnp.where(is_higher, value, height)
+        is_inside = (place > 0.0) & (place < 1.0)
+        place = jnp.where(is_inside, self.turn_near(place), place)
+        return place, jnp.where(is_inside, jnp.abs(self(place)), height)
 
 
 def _horner(coefficients: tuple[RealScalarLike, ...], theta: RealScalarLike) -> RealScalarLike:

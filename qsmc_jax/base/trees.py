@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from qsmc_jax.base.types import RealScalarLike
+
 
 def where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
     """`new` where the condition holds, else `old`, leaf by leaf."""
@@ -18,9 +20,14 @@ def zeros_like(tree: Any) -> Any:
     return jax.tree.map(jnp.zeros_like, tree)
 
 
-def all_finite(tree: Any) -> Bool[Array, ""]:
-    """Whether every number in the tree is finite."""
-    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
+def full_like(tree: Any, value: RealScalarLike) -> Any:
+    """The same tree with every entry equal to `value`."""
+    return jax.tree.map(lambda leaf: jnp.full_like(leaf, value), tree)
+
+
+def is_finite(tree: Any) -> Bool[Array, ""]:
+    """Whether every number in a tree of scalars is finite (and their sum, which NaN and infinity do not leave so)."""
+    return jnp.isfinite(sum(jax.tree.leaves(tree)))
 
 
 def first(tree: Any) -> Any:

@@ -22,6 +22,7 @@ else:
     BoolScalarLike: TypeAlias = Bool[ArrayLike, ""]
 
 State: TypeAlias = Sequence[Any]
+Scalars: TypeAlias = tuple[RealScalarLike, ...]
 
 
 @runtime_checkable

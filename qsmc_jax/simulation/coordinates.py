@@ -1,16 +1,14 @@
 """The coordinates in which a loop is integrated: the funnel coordinate, and the physical states as a cross-check."""
 
 import abc
-from typing import TypeAlias
 
 import jax.numpy as jnp
 
 from qsmc_jax.base.gudermann import funnel_coordinate, gd, sinh_cosh
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.loop import ClosedLoop
-
-Scalars: TypeAlias = tuple[RealScalarLike, ...]
+from qsmc_jax.simulation.settings import SolverSettings
 
 
 class AbstractCoordinates(AbstractModule):
@@ -29,6 +27,10 @@ class AbstractCoordinates(AbstractModule):
         """The derivative of `y`."""
 
     @abc.abstractmethod
+    def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
+        """The errors e^(0) ... e^(n-1), given `y` and its derivative `dy`."""
+
+    @abc.abstractmethod
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
         """The funnel coordinate s."""
 
@@ -38,9 +40,13 @@ class AbstractCoordinates(AbstractModule):
     ) -> tuple[RealScalarLike, RealScalarLike]:
         """The funnel coordinate s and its derivative, given `y` and `dy`."""
 
+    @abc.abstractmethod
+    def tolerances(self, size: State, settings: SolverSettings) -> Scalars:
+        """The error that one step may make in each coordinate, whose size is given."""
+
 
 class FunnelCoordinates(AbstractCoordinates):
-    r"""$y = (x_1, \dots, x_{n-1}, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$, the inverse Gudermannian.
+    r"""$y = (e^{(0)}, \dots, e^{(n-2)}, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$.
 
     In it the law is $u = -\operatorname{sgn}(g) \sinh s$ and
     $\dot s = \cosh s \, [\frac{\pi}{2\rho} (w + g u) - \operatorname{gd}(s) \dot\rho / \rho]$, smooth everywhere: no
@@ -52,19 +58,23 @@ class FunnelCoordinates(AbstractCoordinates):
 
     def start(self, loop: ClosedLoop, x0: State) -> Scalars:
         ratio = loop.sliding_variable(0.0, x0) / loop.control.funnel(0.0)
-        return (*x0[:-1], funnel_coordinate(ratio))
+        return (*loop.errors(0.0, x0)[:-1], funnel_coordinate(ratio))
 
     def state(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> Scalars:
-        return _state(loop, loop.control.funnel(t), y, loop.desired(t))
+        return loop.state(_errors(loop, loop.control.funnel(t), y), loop.desired(t))
 
     def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
-        control, desired = loop.control, loop.desired(t)
+        control = loop.control
         rho, rho_rate = control.funnel.width_and_rate(t)
-        x = _state(loop, rho, y, desired)
+        errors = _errors(loop, rho, y)
         sinh, cosh = sinh_cosh(y[-1])
-        balance = loop.balance(t, x, desired)
+        balance = loop.balance(t, errors, loop.desired(t))
         sigma_rate = balance.residual - balance.gain * control.gain_sign * sinh
-        return (*x[1:], cosh * (0.5 * jnp.pi * sigma_rate - gd(y[-1]) * rho_rate) / rho)
+        return (*errors[1:], cosh * (0.5 * jnp.pi * sigma_rate - gd(y[-1]) * rho_rate) / rho)
+
+    def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
+        """Each error is the derivative of the one before."""
+        return (y[0], *dy[:-1]) if loop.order > 1 else _errors(loop, loop.control.funnel(t), y)
 
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
         return y[-1]
@@ -73,6 +83,10 @@ class FunnelCoordinates(AbstractCoordinates):
         self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
     ) -> tuple[RealScalarLike, RealScalarLike]:
         return y[-1], dy[-1]
+
+    def tolerances(self, size: State, settings: SolverSettings) -> Scalars:
+        errors = (settings.atol + settings.rtol * each for each in size[:-1])
+        return (*errors, settings.funnel_atol + settings.rtol * size[-1])
 
 
 class PhysicalCoordinates(AbstractCoordinates):
@@ -86,6 +100,9 @@ class PhysicalCoordinates(AbstractCoordinates):
 
     def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
         return loop.vector_field(t, y)
+
+    def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
+        return loop.errors(t, y)
 
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
         return funnel_coordinate(loop.sliding_variable(t, y) / loop.control.funnel(t))
@@ -102,13 +119,15 @@ class PhysicalCoordinates(AbstractCoordinates):
         ratio_rate = (surface(rates) - ratio * rho_rate) / rho
         return s, 0.5 * jnp.pi * sinh_cosh(s)[1] * ratio_rate
 
+    def tolerances(self, size: State, settings: SolverSettings) -> Scalars:
+        """A tenth of what is asked for: near the funnel's edge an error of the state is magnified in the input."""
+        return tuple(0.1 * (settings.atol + settings.rtol * each) for each in size)
 
-def _state(loop: ClosedLoop, rho: RealScalarLike, y: State, desired: State) -> Scalars:
-    """The physical state from the funnel coordinate: the last error is what the others leave of sigma."""
-    errors = [yi - di for yi, di in zip(y[:-1], desired, strict=False)]
-    others = loop.control.surface((*errors, 0.0))
-    last_error = 2.0 / jnp.pi * rho * gd(y[-1]) - others
-    return (*y[:-1], desired[loop.order - 1] + last_error)
+
+def _errors(loop: ClosedLoop, rho: RealScalarLike, y: State) -> Scalars:
+    """The errors from the funnel coordinate: the last is what the others leave of sigma."""
+    others = loop.control.surface((*y[:-1], 0.0))
+    return (*y[:-1], 2.0 / jnp.pi * rho * gd(y[-1]) - others)
 
 
 def named_coordinates(name: str) -> AbstractCoordinates:

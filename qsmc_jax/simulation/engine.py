@@ -1,11 +1,15 @@
 """The one place that calls `diffeqsolve`: a problem, a start and a horizon in, figures (and signals) out."""
 
+import functools as ft
+
 import diffrax as dfx
+import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base import trees
+from qsmc_jax.base.fence import Fence
 from qsmc_jax.base.types import RealScalarLike, State
 from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
@@ -14,8 +18,10 @@ from qsmc_jax.simulation.coordinates import named_coordinates
 from qsmc_jax.simulation.figures import Ending, Figures, read_figures
 from qsmc_jax.simulation.guarded_solver import GuardedSolver, Run
 from qsmc_jax.simulation.outcome import Outcome
+from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.tally import Problem, first_tally
+from qsmc_jax.simulation.tsit5 import Tsit5
 
 # The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends
 # there.
@@ -36,6 +42,7 @@ def pose(loop: ClosedLoop, bandwidth: RealScalarLike, settings: SolverSettings) 
         bandwidth=bandwidth,
         reaching_time=loop.control.funnel.reaching_time(bandwidth),
         error_bounds=tuple(bandwidth * gains[i] for i in range(loop.order)),
+        fence=Fence(settings.rtol / settings.rtol),
     )
 
 
@@ -71,14 +78,14 @@ def _solve(
     run0 = Run(y0, first_tally(problem, y0))
     solution = dfx.diffeqsolve(
         dfx.ODETerm(_carry),
-        GuardedSolver(_method(settings)),
+        GuardedSolver(_method(settings), settings),
         t0=jnp.zeros(()),
         t1=end,
         dt0=_FIRST_STEP * horizon,
         y0=run0,
         args=problem,
         saveat=_saveat(times),
-        stepsize_controller=_controller(problem, horizon, settings),
+        stepsize_controller=_controller(problem, horizon),
         max_steps=settings.max_steps,
         throw=False,
     )
@@ -111,15 +118,24 @@ def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:
 
 
 def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:
-    if settings.method == "tsit5":
-        return dfx.Tsit5()
-    return dfx.Kvaerno5(root_finder=dfx.VeryChord(rtol=settings.rtol, atol=settings.atol))
+    methods = {"tsit5": Tsit5, "rodas4": ft.partial(Rosenbrock, RODAS4), "rodas5p": ft.partial(Rosenbrock, RODAS5P)}
+    return methods[settings.method]()
 
 
-def _controller(problem: Problem, horizon: RealScalarLike, settings: SolverSettings) -> dfx.AbstractStepSizeController:
-    """Adaptive steps on the error of `y` alone, which stop wherever the disturbance breaks."""
+def _controller(problem: Problem, horizon: RealScalarLike) -> dfx.AbstractStepSizeController:
+    """Adaptive steps on the error of `y` alone, which stop wherever the disturbance breaks.
+
+    PI control with exponents 1/8 and -1/16 of the errors of this step and the last: the controller sees their roots.
+    """
     controller = dfx.PIDController(
-        rtol=settings.rtol, atol=settings.atol, norm=_norm, dtmin=_LEAST_STEP * horizon, force_dtmin=False
+        rtol=0.0,
+        atol=1.0,
+        norm=_norm,
+        pcoeff=1.0,
+        icoeff=1.0,
+        error_order=1.0,
+        dtmin=_LEAST_STEP * horizon,
+        force_dtmin=False,
     )
     breaks = jnp.sort(jnp.asarray(problem.loop.disturbance.break_times))
     if breaks.size == 0:
@@ -128,8 +144,12 @@ def _controller(problem: Problem, horizon: RealScalarLike, settings: SolverSetti
     return dfx.ClipStepSizeController(controller, jump_ts=jnp.where(is_new, breaks, jnp.inf))
 
 
-def _norm(run: Run) -> Float[Array, ""]:
-    return optx.max_norm(run.y)
+def _norm(error: Run) -> Float[Array, ""]:
+    """The 16th root of the largest error: the controller's powers are then 2 and -1, which cost nothing."""
+    root = jax.lax.stop_gradient(optx.max_norm(error.y))
+    for _ in range(4):
+        root = jnp.sqrt(root)
+    return root
 
 
 def _saveat(ts: Float[Array, " times"] | None) -> dfx.SaveAt:

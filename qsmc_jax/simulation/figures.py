@@ -1,6 +1,5 @@
 """From the end of a solve to what a user reads: outcome, verdict per claim, and the figures of one run."""
 
-import functools as ft
 from typing import Any
 
 import diffrax as dfx
@@ -9,13 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
-from qsmc_jax.base.hermite import Cubic, Quintic
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
-from qsmc_jax.simulation.coordinates import Scalars
 from qsmc_jax.simulation.guarded_solver import Run
 from qsmc_jax.simulation.outcome import Outcome, Verdict
-from qsmc_jax.simulation.tally import OutsideStep, PeakStep, Problem
+from qsmc_jax.simulation.tally import OutsideStep, Peak, Problem
 
 # A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and
 # the input does not push back now nor then.
@@ -71,14 +68,6 @@ class Figures(AbstractModule):
     steps: Int[Array, ""]
 
 
-class Peak(AbstractModule):
-    """The peak of |s|: its height, its time [s] and the coordinates there."""
-
-    height: RealScalarLike
-    time: RealScalarLike
-    y: Scalars
-
-
 class Ending(AbstractModule):
     """What the solver hands over: whether the run was admissible, the horizon, and where and how the solve stopped."""
 
@@ -94,7 +83,7 @@ class Ending(AbstractModule):
 def read_figures(problem: Problem, ending: Ending) -> Figures:
     """Outcome first, then the verdicts, then the figures: those of an unfinished run are masked."""
     tally = ending.run.tally
-    outcome, peak = _outcome(problem, ending), _sharpened(problem, tally.peak)
+    outcome, peak = _outcome(problem, ending), tally.peak
     reach_time = _reach_time(tally.outside, problem.bandwidth, ending.end_time)
     settle_time = jnp.where(tally.unsettled_time >= ending.end_time, jnp.inf, tally.unsettled_time)
     verdict, reaching, tracking = _verdicts(problem, outcome, ending.horizon, reach_time, settle_time)
@@ -220,46 +209,6 @@ def _reach_time(outside: OutsideStep, bandwidth: RealScalarLike, end_time: RealS
     return jnp.where(outside.length > 0.0, jnp.where(ends_outside, jnp.inf, crossed), 0.0)
 
 
-def _sharpened(problem: Problem, step: PeakStep) -> Peak:
-    """The peak inside its step, by the quintic through values, slopes and second derivatives of s at both ends.
-
-    Every step is searched by its cubic, which costs nothing; the one that matters gets the order of the solver.
-    """
-    h = step.length
-    times = jnp.stack([step.start, step.start + h])
-    ends = tuple(map(jnp.stack, zip(step.y0, step.y1, strict=True)))
-    at_ends: Any = jax.vmap(ft.partial(_motion, problem))(times, ends)
-    s, rate, acceleration, dy = at_ends
-    cubic = Cubic(s[0], s[1], h * rate[0], h * rate[1])
-    quintic = Quintic(cubic, h * h * acceleration[0], h * h * acceleration[1])
-    theta, height = jnp.ones(()), jnp.abs(s[1])
-    for place in (jnp.zeros(()), *cubic.turning_points()):
-        is_higher = jnp.abs(cubic(place)) > height
-        theta, height = jnp.where(is_higher, place, theta), jnp.where(is_higher, jnp.abs(cubic(place)), height)
-    is_inside = (theta > 0.0) & (theta < 1.0)
-    theta = jnp.where(is_inside, quintic.turn_near(theta), theta)
-    y = tuple(
-        Cubic(a, b, h * da, h * db)(theta)
-        for a, b, da, db in zip(step.y0, step.y1, *zip(*dy, strict=True), strict=True)
-    )
-    return Peak(jnp.abs(quintic(theta)), step.start + theta * h, y)
-
-
-def _motion(
-    problem: Problem, t: RealScalarLike, y: Scalars
-) -> tuple[RealScalarLike, RealScalarLike, RealScalarLike, Scalars]:
-    """s, its first and second derivative, and the derivative of `y`."""
-    loop, coordinates = problem.loop, problem.coordinates
-
-    def rates(t: RealScalarLike, y: Scalars) -> tuple[RealScalarLike, Scalars]:
-        dy = coordinates.vector_field(t, y, loop)
-        return coordinates.funnel_motion(loop, t, y, dy)[1], tuple(map(jnp.asarray, dy))
-
-    dy = rates(t, y)[1]
-    (s_rate, _), (acceleration, _) = jax.jvp(rates, (t, y), (jnp.ones(()), dy))
-    return coordinates.funnel_coordinate(loop, t, y), s_rate, acceleration, dy
-
-
 def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike) -> Float[Array, ""]:
     r"""The bound $\max(|u(0)|, (|w| + \mu(\rho - \rho_\infty)) / |g|)$ on sup|u|, with w, g, rho as at the peak.
 
@@ -268,8 +217,7 @@ def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike
     Source: the step "contradiction" in the proof of Theorem 1, made quantitative.
     """
     loop, t = problem.loop, peak.time
-    x = problem.coordinates.state(loop, t, peak.y)
-    balance = loop.balance(t, x, loop.desired(t))
+    balance = loop.balance(t, loop.errors(t, problem.coordinates.state(loop, t, peak.y)), loop.desired(t))
     _, rho_rate = loop.control.funnel.width_and_rate(t)
     gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
     at_peak = (jnp.abs(balance.residual) + jnp.abs(rho_rate)) / jnp.abs(gain)

@@ -6,12 +6,12 @@ from typing import Any, ClassVar
 import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from qsmc_jax.base import trees
-from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.simulation.coordinates import Scalars
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.tally import Problem, Step, Tally, add_step
+from qsmc_jax.simulation.tsit5 import derivative_at_start
 
 # |s| at which a run ends: 1 - |sigma|/rho = 1e-13, an input of 5e12. Only a loop whose input does not push back gets
 # there.
@@ -49,11 +49,17 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
     """Advances `y` by `method`, refuses what is not finite or too far out, and brings the tally up to date.
 
     A refused candidate reports an infinite error and the old state. diffrax alone turns an infinite candidate into a
-    NaN step factor, and tries the same step for ever (0.7.2). The method must be one that knows the derivative at both
-    ends of its step (FSAL), as Tsit5 and Kvaerno5 do.
+    NaN step factor, and tries the same step for ever (0.7.2). The method must be one whose solver state is the
+    derivative at the start of its next step, and whose dense output is quartic: `Tsit5` or `Rosenbrock`. Errors are
+    reported in units of what is tolerated, so that the step size controller has to hold them below 1.
+
+    Attributes:
+        method: The method.
+        settings: The tolerances.
     """
 
     method: dfx.AbstractAdaptiveSolver
+    settings: SolverSettings
 
     term_structure: ClassVar = dfx.AbstractTerm
 
@@ -85,27 +91,26 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         solver_state: Any,
         made_jump: Any,
     ) -> tuple[Run, Run, dict[str, Any], Any, dfx.RESULTS]:
-        y1, error, dense, state, result = self.method.step(_TERM, t0, t1, y0.y, args, solver_state, made_jump)
-        slopes = tuple(_over(stages, t1 - t0) for stages in dense["k"])
-        rates = tuple(slope[0] for slope in slopes), tuple(slope[-1] for slope in slopes)
+        rate0 = derivative_at_start(_TERM, t0, y0.y, args, solver_state, made_jump)
+        y1, error, dense, rate1, result = self.method.step(_TERM, t0, t1, y0.y, args, rate0, False)
         s1 = args.coordinates.funnel_coordinate(args.loop, t1, y1)
-        is_sound = trees.all_finite((y1, slopes)) & (jnp.abs(s1) <= FARTHEST)
-        y1 = trees.where(is_sound, y1, y0.y)
-        rates = trees.where(is_sound, rates, trees.zeros_like(rates))
-        tally = add_step(args, y0.tally, Step(t0, t1, (y0.y, y1), rates))
-        error = Run(trees.where(is_sound, error, (jnp.inf,) * len(error)), trees.zeros_like(tally))
+        is_sound = trees.is_finite((y1, error, rate1)) & (jnp.abs(s1) <= FARTHEST)
+        y1, rate1 = trees.where(is_sound, (y1, rate1), (y0.y, rate0))
+        tally = add_step(args, y0.tally, Step(t0, t1, **{**dense, "y1": y1}, derivative=rate1))
+        error = Run(self._in_tolerances(args, error, y0.y, y1), trees.zeros_like(tally))
+        error = trees.where(is_sound, error, trees.full_like(error, jnp.inf))
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
-        return Run(y1, tally), error, {"inner": dense, "tally": tally}, state, result
+        return Run(y1, tally), error, {"inner": dense, "tally": tally}, rate1, result
+
+    def _in_tolerances(self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars) -> Scalars:
+        size = tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(y0, y1, strict=True))
+        tolerances = problem.coordinates.tolerances(size, self.settings)
+        return tuple(each / tolerance for each, tolerance in zip(error, tolerances, strict=True))
 
 
 def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
-    return problem.coordinates.vector_field(t, y, problem.loop)
+    return problem.fence(problem.coordinates.vector_field(t, y, problem.loop))
 
 
 _TERM = dfx.ODETerm(_field)
-
-
-def _over(stages: Array, h: RealScalarLike) -> Array:
-    """Stage increments as derivatives; zero, not NaN, for a step too short to be told from none."""
-    return jnp.where(h > 0.0, stages / jnp.where(h > 0.0, h, 1.0), jnp.zeros_like(stages))

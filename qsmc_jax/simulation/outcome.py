@@ -41,7 +41,7 @@ _ADVICE = {
     Outcome.STARTED_OUTSIDE: "The start is not inside the funnel, |sigma(0)| >= rho(0): enlarge `rho0` or move `x0`.",
     Outcome.BAD_PARAMETERS: "A drawn parameter breaks a premise: rho0, mu and rho_inf must be positive, and the "
     "surface Hurwitz.",
-    Outcome.MAX_STEPS: 'Gave up after `max_steps` steps. Try a larger `max_steps`, or `method="kvaerno5"` for a '
+    Outcome.MAX_STEPS: 'Gave up after `max_steps` steps. Try a larger `max_steps`, or `method="rodas5p"` for a '
     "stiff loop.",
     Outcome.STEP_TOO_SMALL: "The step size fell to the resolution of time: the drift, gain, reference or disturbance "
     "is not finite, or jumps at a time that is not among `break_times`.",

@@ -4,18 +4,21 @@ They are read off each accepted step's own cubic Hermite interpolant, so nothing
 grid, and they ride along in the integrated state, with no say in the step size, so that gradients reach them.
 """
 
+import functools as ft
+import itertools as it
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from qsmc_jax.base import trees
+from qsmc_jax.base.fence import Fence
 from qsmc_jax.base.gudermann import sinh_cosh
-from qsmc_jax.base.hermite import Cubic
+from qsmc_jax.base.hermite import Cubic, Quartic
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulation.coordinates import AbstractCoordinates, Scalars
+from qsmc_jax.simulation.coordinates import AbstractCoordinates
 
 # Gauss-Lobatto rule with four nodes on [0, 1], exact for polynomials of degree 5: the ends and 1/2 -+ 1/(2 sqrt 5).
 _LOBATTO_NODES = (0.5 - 0.1 * 5**0.5, 0.5 + 0.1 * 5**0.5)
@@ -31,6 +34,7 @@ class Problem(AbstractModule):
         bandwidth: The bandwidth of quasi-sliding mode, epsilon, of the sliding variable.
         reaching_time: t_r [s], after which errors count as steady; `inf` if there is none.
         error_bounds: What |sigma| < epsilon implies for each error, n scalars.
+        fence: Around what is used more than once.
     """
 
     loop: ClosedLoop
@@ -38,16 +42,15 @@ class Problem(AbstractModule):
     bandwidth: RealScalarLike
     reaching_time: RealScalarLike
     error_bounds: Scalars
+    fence: Fence
 
 
-class PeakStep(AbstractModule):
-    """The step with the highest |s| so far: height by the cubic, start and length [s], coordinates at both ends."""
+class Peak(AbstractModule):
+    """The peak of |s|: its height, its time [s] and the coordinates there."""
 
     height: RealScalarLike
-    start: RealScalarLike
-    length: RealScalarLike
-    y0: Scalars
-    y1: Scalars
+    time: RealScalarLike
+    y: Scalars
 
 
 class OutsideStep(AbstractModule):
@@ -62,7 +65,8 @@ class Tally(AbstractModule):
     """The running figures of one run, all scalars; see `Figures` for what becomes of them."""
 
     errors: Scalars
-    peak: PeakStep
+    u: RealScalarLike
+    peak: Peak
     outside: OutsideStep
     unsettled_time: RealScalarLike
     peak_errors: Scalars
@@ -74,22 +78,34 @@ class Tally(AbstractModule):
 
 
 class Step(AbstractModule):
-    """One step of the method: its ends [s], and the coordinates and their derivatives there."""
+    """One step of the method, which starts at `t0` and ends at `t1` [s].
+
+    Attributes:
+        y0, y1: The coordinates at its ends.
+        dy0, dy1: The derivatives of the dense output there.
+        middle: The coordinates at its middle.
+        derivative: The derivative of the coordinates at its end, by the vector field.
+    """
 
     t0: RealScalarLike
     t1: RealScalarLike
-    y: tuple[Scalars, Scalars]
-    dy: tuple[Scalars, Scalars]
+    y0: Scalars
+    y1: Scalars
+    dy0: Scalars
+    dy1: Scalars
+    middle: Scalars
+    derivative: Scalars
 
 
 class _End(AbstractModule):
-    """What the figures need at one end of a step: errors e^(0) ... e^(n), sigma, s, and the rates of these two."""
+    """What the figures need at one end of a step: errors e^(0) ... e^(n), sigma and s with their rates, u = sinh s."""
 
     errors: Scalars
     sigma: RealScalarLike
     sigma_rate: RealScalarLike
     s: RealScalarLike
     s_rate: RealScalarLike
+    u: RealScalarLike
 
 
 def first_tally(problem: Problem, y0: Scalars) -> Tally:
@@ -99,7 +115,8 @@ def first_tally(problem: Problem, y0: Scalars) -> Tally:
     s0 = problem.coordinates.funnel_coordinate(loop, zero, y0)
     return Tally(
         errors=_scalars(loop.errors(zero, x0)),
-        peak=PeakStep(jnp.abs(s0), zero, zero, _scalars(y0), _scalars(y0)),
+        u=sinh_cosh(s0)[0],
+        peak=Peak(jnp.abs(s0), zero, _scalars(y0)),
         outside=OutsideStep(zero, zero, Cubic(zero, zero, zero, zero)),
         unsettled_time=zero,
         peak_errors=(zero,) * loop.order,
@@ -114,40 +131,59 @@ def first_tally(problem: Problem, y0: Scalars) -> Tally:
 def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
     """The figures after one more step."""
     loop, t1, h = problem.loop, step.t1, step.t1 - step.t0
-    x1 = problem.coordinates.state(loop, t1, step.y[1])
-    left = _end(problem, step.t0, tally.errors, step.y[0], step.dy[0])
-    right = _end(problem, t1, loop.errors(t1, x1), step.y[1], step.dy[1])
+    u1 = sinh_cosh(problem.coordinates.funnel_coordinate(loop, t1, step.y1))[0]
+    errors = problem.coordinates.errors(loop, t1, step.y1, step.derivative)
+    left = _end(problem, step.t0, tally.errors, tally.u, step.y0, step.dy0)
+    right = _end(problem, t1, errors, u1, step.y1, step.dy1)
     s = Cubic(left.s, right.s, h * left.s_rate, h * right.s_rate)
     sigma = Cubic(left.sigma, right.sigma, h * left.sigma_rate, h * right.sigma_rate)
-    errors = _error_cubics(left, right, h)
     steady_from = jnp.clip((problem.reaching_time - step.t0) / jnp.where(h > 0.0, h, 1.0), 0.0, 1.0)
-    steady = tuple(
-        jnp.maximum(cubic.largest(steady_from), p) for cubic, p in zip(errors, tally.peak_errors, strict=True)
-    )
-    peak = PeakStep(s.largest(), step.t0, h, *map(_scalars, step.y))
+    heights = problem.fence(tuple(cubic.largest(steady_from) for cubic in _error_cubics(left, right, h)))
+    sigma_height = problem.fence(sigma.largest())
+    peak = _peak(problem, step, s)
+    gain, disturbance = _premises(loop, t1, right.errors)
     return Tally(
         errors=_scalars(right.errors[:-1]),
+        u=u1,
         peak=trees.where(peak.height > tally.peak.height, peak, tally.peak),
-        outside=trees.where(sigma.largest() >= problem.bandwidth, OutsideStep(step.t0, h, sigma), tally.outside),
-        unsettled_time=jnp.where(_exceeds(errors, problem.error_bounds), t1, tally.unsettled_time),
-        peak_errors=trees.where(t1 > problem.reaching_time, steady, tally.peak_errors),
-        total_variation=tally.total_variation + _variation_of_input(s),
-        energy=tally.energy + h * _mean_square_of_input(s),
-        squared_error=tally.squared_error + h * _mean_square(errors[0]),
-        least_gain=jnp.minimum(tally.least_gain, loop.control.gain_sign * loop.plant.gain(t1, x1)),
-        largest_disturbance=jnp.maximum(tally.largest_disturbance, jnp.abs(loop.disturbance(t1))),
+        outside=trees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), tally.outside),
+        unsettled_time=jnp.where(_exceeds(problem, heights, left.errors), t1, tally.unsettled_time),
+        peak_errors=trees.where(
+            t1 > problem.reaching_time, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors
+        ),
+        total_variation=tally.total_variation + _variation_of_input(left.u, s.stations()[1:-1], right.u),
+        energy=tally.energy + h * _mean_square_of_input(left.u, s, right.u),
+        squared_error=tally.squared_error + _integral_of_square(h, left.errors[:2], right.errors[:2]),
+        least_gain=jnp.minimum(tally.least_gain, gain),
+        largest_disturbance=jnp.maximum(tally.largest_disturbance, disturbance),
     )
 
 
-def _end(problem: Problem, t: RealScalarLike, errors: Scalars, y: Scalars, dy: Scalars) -> _End:
+def _peak(problem: Problem, step: Step, s: Cubic) -> Peak:
+    """The peak of |s| in the step, by the quartic through its ends and its middle."""
+    h = step.t1 - step.t0
+    middle = problem.coordinates.funnel_coordinate(problem.loop, step.t0 + 0.5 * h, step.middle)
+    theta, height = problem.fence(Quartic(s, middle).highest())
+    ends = zip(step.y0, step.y1, step.dy0, step.dy1, strict=True)
+    y = tuple(Cubic(y0, y1, h * m0, h * m1)(theta) for y0, y1, m0, m1 in ends)
+    return Peak(height, step.t0 + theta * h, y)
+
+
+def _end(problem: Problem, t: RealScalarLike, errors: Scalars, u: RealScalarLike, y: Scalars, dy: Scalars) -> _End:
     """One end of a step. The rate of sigma, and so e^(n), follows from that of s: right on either side of a jump."""
     surface = problem.loop.control.surface
     rho, rho_rate = problem.loop.control.funnel.width_and_rate(t)
     s, s_rate = problem.coordinates.funnel_motion(problem.loop, t, y, dy)
-    sigma = surface(errors)
-    sigma_rate = 2.0 / jnp.pi * rho * s_rate / sinh_cosh(s)[1] + sigma * rho_rate / rho
+    sigma, cosh = surface(errors), jnp.sqrt(1.0 + u * u)
+    sigma_rate = (2.0 / jnp.pi * rho * s_rate) / cosh + sigma * rho_rate / rho
     last = sigma_rate - surface((*errors[1:], 0.0))
-    return _End((*errors, last), sigma, sigma_rate, s, s_rate)
+    return _End((*errors, last), sigma, sigma_rate, s, s_rate, u)
+
+
+def _premises(loop: ClosedLoop, t: RealScalarLike, errors: Scalars) -> tuple[RealScalarLike, RealScalarLike]:
+    """gain_sign * g, which should be positive, and |d|, which should not exceed its bound."""
+    x = loop.state(errors[:-1], loop.desired(t))
+    return loop.control.gain_sign * loop.plant.gain(t, x), jnp.abs(loop.disturbance(t))
 
 
 def _error_cubics(left: _End, right: _End, h: RealScalarLike) -> list[Cubic]:
@@ -156,25 +192,35 @@ def _error_cubics(left: _End, right: _End, h: RealScalarLike) -> list[Cubic]:
     return [Cubic(y0, y1, h * m0, h * m1) for y0, y1, m0, m1 in ends]
 
 
-def _exceeds(errors: list[Cubic], bounds: Scalars) -> Bool[Array, ""]:
-    """Whether any error reaches its bound in the step."""
-    return jnp.any(jnp.stack([error.largest() >= bound for error, bound in zip(errors, bounds, strict=True)]))
+def _exceeds(problem: Problem, heights: Scalars, left: Scalars) -> Bool[Array, ""]:
+    """Whether any error reaches its bound at the start of the step, or in it (before t_r: at its ends)."""
+    reaches = [
+        (height >= bound) | (jnp.abs(start) >= bound)
+        for height, start, bound in zip(heights, left, problem.error_bounds, strict=False)
+    ]
+    return jnp.asarray(ft.reduce(jnp.logical_or, reaches))
 
 
 def _scalars(values: Any) -> Scalars:
     return tuple(jnp.asarray(value) for value in values)
 
 
-def _variation_of_input(s: Cubic) -> RealScalarLike:
-    """The total variation of u = -+sinh(s) over the step: u is monotone between the turning points of s."""
-    inputs = [sinh_cosh(value)[0] for value in (s.y0, *map(s, s.turning_points()), s.y1)]
-    return sum(jnp.abs(b - a) for a, b in zip(inputs[:-1], inputs[1:], strict=True))
+def _variation_of_input(u0: RealScalarLike, turns: Scalars, u1: RealScalarLike) -> RealScalarLike:
+    """The total variation of |u| = sinh s over the step: u is monotone between the turning points of s."""
+    inputs = [u0, *(sinh_cosh(s)[0] for s in turns), u1]
+    return sum(jnp.abs(b - a) for a, b in it.pairwise(inputs))
 
 
-def _mean_square_of_input(s: Cubic) -> RealScalarLike:
-    ends = sinh_cosh(s.y0)[0] ** 2 + sinh_cosh(s.y1)[0] ** 2
-    return _LOBATTO_END * ends + _LOBATTO_INNER * sum(sinh_cosh(s(node))[0] ** 2 for node in _LOBATTO_NODES)
+def _mean_square_of_input(u0: RealScalarLike, s: Cubic, u1: RealScalarLike) -> RealScalarLike:
+    """By Lobatto's rule on s, since u can be exponential in time where s is straight."""
+    inner = sum(sinh_cosh(s(node))[0] ** 2 for node in _LOBATTO_NODES)
+    return _LOBATTO_END * (u0**2 + u1**2) + _LOBATTO_INNER * inner
 
 
-def _mean_square(p: Cubic) -> RealScalarLike:
-    return _LOBATTO_END * (p.y0**2 + p.y1**2) + _LOBATTO_INNER * sum(p(node) ** 2 for node in _LOBATTO_NODES)
+def _integral_of_square(h: RealScalarLike, left: State, right: State) -> RealScalarLike:
+    """The integral of p^2 over a step, given p and its derivative at both ends.
+
+    The trapezium rule with end corrections: exact for the cubic through these data, as p^2 has them.
+    """
+    (p0, m0), (p1, m1) = left, right
+    return h * (0.5 * (p0 * p0 + p1 * p1) + h / 6.0 * (p0 * m0 - p1 * m1))

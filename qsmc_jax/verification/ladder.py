@@ -89,7 +89,7 @@ def firmer(settings: SolverSettings) -> SolverSettings:
 
 def stiff(settings: SolverSettings) -> SolverSettings:
     """The implicit method in the funnel coordinate, with ten times as many steps to spend."""
-    return SolverSettings(settings.rtol, settings.atol, 10 * settings.max_steps, "kvaerno5", "funnel")
+    return SolverSettings(settings.rtol, settings.atol, 10 * settings.max_steps, "rodas5p", "funnel")
 
 
 def is_doubtful(table: Runs) -> np.ndarray:
