@@ -212,6 +212,12 @@ def _atan(x: Array) -> Array:
     return jnp.where(x == 0.0, x, jnp.where(x < 0.0, -y, y))
 
 
+def atan_of_small(t: Array) -> Array:
+    """The arctangent of |t| <= 7/16, within 1 unit in the last place."""
+    z = t * t
+    return t - t * z * _polynomial(z, _ATAN)
+
+
 def _polynomial(z: Array, coefficients: tuple[float, ...]) -> Array:
     """The polynomial in `z`, lowest coefficient first."""
     value = jnp.full_like(z, coefficients[-1])

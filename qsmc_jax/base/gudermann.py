@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from qsmc_jax.base.elementary import atan_of_small
 from qsmc_jax.base.types import RealScalarLike
 
 _LARGEST = 700.0  # exp overflows a float64 at 709; a coordinate beyond this stands for this
@@ -20,7 +21,10 @@ _LARGEST = 700.0  # exp overflows a float64 at 709; a coordinate beyond this sta
 def gd(s: RealScalarLike) -> Float[Array, ""]:
     r"""The Gudermannian $\operatorname{gd}(s) = \arctan\sinh s = 2\arctan\tanh(s/2)$ [rad], in (-pi/2, pi/2)."""
     sign, m = _sign_and_expm1(s)
-    return sign * 2.0 * jnp.arctan(m / (m + 2.0))
+    # Twice the arctangent of tanh(|s|/2) = m / (m + 2), or from sqrt(2) - 1 on pi/2 less that of exp(-|s|).
+    is_large = m > math.sqrt(2.0)
+    half = atan_of_small(jnp.where(is_large, 1.0, m) / jnp.where(is_large, m + 1.0, m + 2.0))
+    return sign * jnp.where(is_large, 0.5 * math.pi - 2.0 * half, 2.0 * half)
 
 
 @gd.defjvp

@@ -1,6 +1,7 @@
 """Functions of JAX with sine, cosine, tangent and arctangent replaced by ones that vectorise on a CPU."""
 
 import functools as ft
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -29,6 +30,8 @@ _ENTERED = {
     prims.custom_jvp_call_p,
     prims.custom_vjp_call_p,
 }
+
+_REWRITTEN: weakref.WeakKeyDictionary[core.ClosedJaxpr, core.ClosedJaxpr] = weakref.WeakKeyDictionary()
 
 
 def vectorised(fn: Callable[..., Any]) -> "_Vectorised":
@@ -65,7 +68,7 @@ def _rewritten(part: Any) -> Any:
     """A program with its equations rewritten, wherever it sits in the parameters of an equation."""
     match part:
         case core.ClosedJaxpr():
-            return core.ClosedJaxpr(_rewritten(part.jaxpr), part.consts)
+            return _rewritten_once(part)
         case core.Jaxpr():
             return part.replace(eqns=[_rewritten_equation(equation) for equation in part.eqns])
         case lu.WrappedFun():  # makes the program of a custom derivative, when asked
@@ -76,9 +79,16 @@ def _rewritten(part: Any) -> Any:
             return part
 
 
+def _rewritten_once(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
+    """A program that is called in many places stays one program, which JAX goes through once."""
+    if program not in _REWRITTEN:
+        _REWRITTEN[program] = core.ClosedJaxpr(_rewritten(program.jaxpr), program.consts)
+    return _REWRITTEN[program]
+
+
 def _rewritten_equation(equation: core.JaxprEqn) -> core.JaxprEqn:
     if _is_slow(equation):
-        fast = _fast_equation(equation.primitive, equation.invars[0].aval)
+        fast = _fast_equation(equation)
         return equation.replace(primitive=fast.primitive, params=fast.params)
     if equation.primitive in _ENTERED and _holds_slow(equation):
         # `bwd`, the backward pass of a custom derivative, is a function of numbers: it makes no program.
@@ -101,8 +111,15 @@ def _holds_slow(equation: core.JaxprEqn) -> bool:
     return any(_is_slow(e) or _holds_slow(e) for e in inner)
 
 
-def _fast_equation(primitive: core.Primitive, aval: Any) -> core.JaxprEqn:
+def _fast_equation(equation: core.JaxprEqn) -> core.JaxprEqn:
     """The one equation that a call of the fast function is."""
-    operand = jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
-    (equation,) = jax.make_jaxpr(_FAST[primitive])(operand).eqns
+    aval: Any = equation.invars[0].aval
+    return _call_of_fast(equation.primitive, aval.shape, bool(aval.weak_type))
+
+
+@ft.cache
+def _call_of_fast(primitive: core.Primitive, shape: tuple[int, ...], is_weak: bool) -> core.JaxprEqn:
+    operand = jax.ShapeDtypeStruct(shape, np.float64, weak_type=is_weak)
+    with jax.enable_x64(True):
+        (equation,) = jax.make_jaxpr(_FAST[primitive])(operand).eqns
     return equation

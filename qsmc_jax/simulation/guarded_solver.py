@@ -96,7 +96,7 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         s1 = args.coordinates.funnel_coordinate(args.loop, t1, y1)
         is_sound = trees.is_finite((y1, error, rate1)) & (jnp.abs(s1) <= FARTHEST)
         y1, rate1 = trees.where(is_sound, (y1, rate1), (y0.y, rate0))
-        tally = add_step(args, y0.tally, Step(t0, t1, **{**dense, "y1": y1}, derivative=rate1))
+        tally = _ADD_STEP(args, y0.tally, Step(t0, t1, **{**dense, "y1": y1}, derivative=rate1))
         error = Run(self._in_tolerances(args, error, y0.y, y1), trees.zeros_like(tally))
         error = trees.where(is_sound, error, trees.full_like(error, jnp.inf))
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
@@ -109,8 +109,10 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         return tuple(each / tolerance for each, tolerance in zip(error, tolerances, strict=True))
 
 
+@eqx.filter_jit  # so that its many calls in a step are traced once
 def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
     return problem.fence(problem.coordinates.vector_field(t, y, problem.loop))
 
 
 _TERM = dfx.ODETerm(_field)
+_ADD_STEP = eqx.filter_jit(add_step)  # likewise: diffrax traces a step three times
