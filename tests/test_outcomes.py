@@ -15,7 +15,7 @@ import qsmc_jax as qj
 from qsmc_jax.base.module import float_field
 
 # All loops here share one program, of a plant of order 1.
-SETTINGS = qj.SolverSettings(max_steps=2000)
+SETTINGS = qj.SolverSettings(max_steps=2000, method="tsit5")
 FUNNEL = qj.Funnel(rho0=1.0, mu=1.0, rho_inf=0.1)
 
 

@@ -52,7 +52,7 @@ def verify(
     worst: Annotated[int, typer.Option(help="How many of the worst runs to list.")] = 5,
     rtol: Rtol = 1e-6,
     max_steps: MaxSteps = 100_000,
-    block: Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")] = 256,
+    block: Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")] = 512,
     threads: Annotated[int | None, typer.Option(help="Blocks solved at once; default one a core.")] = None,
 ) -> None:
     """Verify the three claims of Theorem 1 by independent random runs, each with an exact interval."""
@@ -177,7 +177,8 @@ def _details(result: Any, study_file: Path, overrides: list[str], out: Path | No
     lines = [
         f"Numerical error of sup |sigma|/rho: {error.peak_ratio:.2g} ({error.checked} runs solved again at rtol / 100, "
         f"{error.changed} verdicts changed); doubtful runs solved again: {result.climbed[0]}",
-        f"{result.runs / result.solve_seconds:.0f} runs/s, {result.steps / result.runs:.0f} steps a run",
+        f"{result.runs / result.solve_seconds:.0f} runs/s, {result.steps / result.runs:.0f} steps a run, "
+        f"lanes occupied {100 * result.occupancy:.0f} %",
         "Worst runs:",
     ]
     fixed = "".join(f" -S {shlex.quote(override)}" for override in overrides)

@@ -1,7 +1,5 @@
 """The one place that calls `diffeqsolve`: a problem, a start and a horizon in, figures (and signals) out."""
 
-import functools as ft
-
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
@@ -118,8 +116,8 @@ def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:
 
 
 def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:
-    methods = {"tsit5": Tsit5, "rodas4": ft.partial(Rosenbrock, RODAS4), "rodas5p": ft.partial(Rosenbrock, RODAS5P)}
-    return methods[settings.method]()
+    implicit = {"rodas4": RODAS4, "rodas5p": RODAS5P}
+    return Rosenbrock(implicit[settings.method]) if settings.method in implicit else Tsit5()
 
 
 def _controller(problem: Problem, horizon: RealScalarLike) -> dfx.AbstractStepSizeController:

@@ -14,7 +14,7 @@ from qsmc_jax.base.types import RealScalarLike
 # stiff loops at loose tolerances, steps come out some ten times worse than estimated.
 _LOOSEST_IN_FUNNEL = 3e-5
 
-Method = Literal["tsit5", "rodas4", "rodas5p"]
+Method = Literal["auto", "tsit5", "rodas4", "rodas5p"]
 CoordinatesName = Literal["funnel", "physical"]
 
 
@@ -25,8 +25,9 @@ class SolverSettings(AbstractModule):
         rtol: Relative tolerance [-] of each integrated coordinate, in (0, 1).
         atol: Absolute tolerance, positive; `None` stands for `rtol / 100`.
         max_steps: Steps, kept or not, after which a run is given up as UNDECIDED; at least 1.
-        method: `"tsit5"` (explicit, order 5) or `"rodas5p"` (linearly implicit,
-            order 5, for stiff loops); `"rodas4"` is an older one of order 4.
+        method: `"tsit5"` (explicit, order 5), `"rodas5p"` (linearly implicit, order 5, for stiff loops) or `"rodas4"`
+            (an older one of order 4); `"auto"` takes the first or the second by the stiffness of each run, and the
+            first in a program that is being traced.
         coordinates: `"funnel"` integrates the loop in the funnel coordinate, which has no pole to step over;
             `"physical"` integrates the states as they are and rejects every step with a stage outside the funnel: an
             independent cross-check.
@@ -46,7 +47,7 @@ class SolverSettings(AbstractModule):
         rtol: RealScalarLike = 1e-6,
         atol: RealScalarLike | None = None,
         max_steps: int = 100_000,
-        method: Method = "tsit5",
+        method: Method = "auto",
         coordinates: CoordinatesName = "funnel",
     ):
         self.rtol = as_float64(rtol)
@@ -65,6 +66,10 @@ class SolverSettings(AbstractModule):
             ("coordinates", self.coordinates, get_args(CoordinatesName)),
         ):
             require(value in known, f"Argument `{name}` must be one of {list(known)}, but is {value!r}.")
+
+    def by(self, method: Method) -> "SolverSettings":
+        """The same settings with another method."""
+        return SolverSettings(self.rtol, self.atol, self.max_steps, method, self.coordinates)
 
     @property
     def funnel_atol(self) -> RealScalarLike:

@@ -18,6 +18,7 @@ from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.stiffness import with_method
 from qsmc_jax.simulation.tally import Problem
 from qsmc_jax.simulation.trajectory_plots import plot_phase_plane, plot_trajectory
 
@@ -139,7 +140,7 @@ def simulate(
     loop.control.funnel.check_bandwidth(bandwidth)
     grid = np.linspace(0.0, float(t1), _DEFAULT_TIMES) if ts is None else as_float64(ts)
     _check_times(grid, float(t1))
-    return _simulate(loop, x0, t1, bandwidth, grid, settings)
+    return _simulate(loop, x0, t1, bandwidth, grid, with_method(settings, loop, x0, t1))
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:

@@ -14,6 +14,7 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.stiffness import method_for, stiffness, with_method
 from qsmc_jax.study.draw import PointDraw
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -29,7 +30,7 @@ Program: TypeAlias = Callable[..., tuple[dict[str, Array], Figures]]
 
 @dataclasses.dataclass(frozen=True)
 class Lanes:
-    """A program that solves a fixed number of runs of one study together.
+    """Programs that solve a fixed number of runs of one study together, one for each method.
 
     Attributes:
         study: The study.
@@ -45,21 +46,39 @@ class Lanes:
         fits = self.count >= 1 and self.count % LANE_MULTIPLE == 0
         require(fits, f"Argument `block` must be a positive multiple of {LANE_MULTIPLE}, but is {self.count}.")
 
-    def compile(self) -> Program:
-        """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
-        shapes = tuple((name, value.shape) for name, value in self._values().items())
-        s = self.settings
-        return _compiled(
-            self.study.scenario, shapes, self.study.dimension, self.count, (s.max_steps, s.method, s.coordinates)
-        )
-
-    def solve(self, indices: np.ndarray, points: Float[np.ndarray, "runs dim"]) -> Runs:
-        """The rows of up to `count` runs. Lanes left over repeat the first run and are dropped."""
-        filled = np.concatenate([points, np.repeat(points[:1], self.count - len(points), axis=0)])
-        program, bandwidth = self.compile(), np.float64(self.study.bandwidth)
+    def methods(self, points: Float[np.ndarray, "runs dim"]) -> np.ndarray:
+        """The name of the method for each of up to `count` runs."""
+        if self.settings.method != "auto":
+            return np.full(len(points), self.settings.method)
+        program = _compiled(_stiffness, self.study.scenario, self._shapes(), self.study.dimension, self.count)
         with jax.enable_x64(True):
-            result = jax.device_get(program(filled, self._values(), bandwidth, self.settings.rtol, self.settings.atol))
+            stiffnesses = np.asarray(program(self._filled(points), self._values()))
+        return np.array([method_for(each) for each in stiffnesses[: len(points)]])
+
+    def compile(self, method: str) -> Program:
+        """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
+        s = self.settings
+        block = _Block((s.max_steps, method, s.coordinates))
+        return _compiled(block, self.study.scenario, self._shapes(), self.study.dimension, self.count, numbers=3)
+
+    def compile_nominal(self) -> None:
+        """The program that the nominal run needs, and with it most others."""
+        nominal = self.study.nominal
+        self.compile(with_method(self.settings, nominal.loop, nominal.x0, nominal.t1).method)
+
+    def solve(self, indices: np.ndarray, points: Float[np.ndarray, "runs dim"], method: str) -> Runs:
+        """The rows of up to `count` runs. Lanes left over repeat the first run and are dropped."""
+        program, bandwidth = self.compile(method), np.float64(self.study.bandwidth)
+        numbers = bandwidth, self.settings.rtol, self.settings.atol
+        with jax.enable_x64(True):
+            result = jax.device_get(program(self._filled(points), self._values(), *numbers))
         return _table(self.study, indices, *result)
+
+    def _filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
+        return np.concatenate([points, np.repeat(points[:1], self.count - len(points), axis=0)])
+
+    def _shapes(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        return tuple((name, value.shape) for name, value in self._values().items())
 
     def _values(self) -> dict[str, np.ndarray]:
         """Every parameter and every substituted name: data, so that no value is compiled in."""
@@ -69,32 +88,49 @@ class Lanes:
 
 @ft.lru_cache(maxsize=64)
 def _compiled(
+    block: Callable[..., Any],
     scenario: Callable[[Any], Any],
     shapes: tuple[tuple[str, tuple[int, ...]], ...],
     dim: int,
     count: int,
-    static_settings: tuple[Any, ...],
+    numbers: int = 0,
 ) -> Program:
-    """The block program for arguments of the given shapes."""
+    """The program of `block(scenario, points, values, *numbers)` for arguments of the given shapes."""
     with jax.enable_x64(True):
-        number = jax.ShapeDtypeStruct((), np.float64)
         points = jax.ShapeDtypeStruct((count, dim), np.float64)
         values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
-        block = ft.partial(_block, scenario, static_settings)
-        return jax.jit(block).lower(points, values, number, number, number).compile(compiler_options=COMPILER_OPTIONS)
+        rest = (jax.ShapeDtypeStruct((), np.float64),) * numbers
+        program = jax.jit(ft.partial(block, scenario)).lower(points, values, *rest)
+        return program.compile(compiler_options=COMPILER_OPTIONS)
 
 
-def _block(
-    scenario: Callable[[Any], Any],
-    static_settings: tuple[Any, ...],
-    points: Float[Array, "lanes dim"],
-    values: Mapping[str, Array],
-    bandwidth: Float[Array, ""],
-    rtol: Float[Array, ""],
-    atol: Float[Array, ""],
-) -> tuple[dict[str, Array], Figures]:
-    settings = SolverSettings(rtol, atol, *static_settings)
-    return jax.vmap(ft.partial(_run, scenario, settings, bandwidth, values))(points)
+def _stiffness(
+    scenario: Callable[[Any], Any], points: Float[Array, "lanes dim"], values: Mapping[str, Array]
+) -> Float[Array, " lanes"]:
+    def of_run(point: Float[Array, " dim"]) -> Float[Array, ""]:
+        made = scenario(PointDraw(point, values))
+        return jnp.asarray(stiffness(made.loop, made.x0, jnp.asarray(made.t1)))
+
+    return jax.vmap(of_run)(points)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Block:
+    """Solves runs together; made twice of equal settings it is equal, so that nothing is compiled twice."""
+
+    static_settings: tuple[Any, ...]
+
+    def __call__(
+        self,
+        scenario: Callable[[Any], Any],
+        points: Float[Array, "lanes dim"],
+        values: Mapping[str, Array],
+        bandwidth: Float[Array, ""],
+        rtol: Float[Array, ""],
+        atol: Float[Array, ""],
+    ) -> tuple[dict[str, Array], Figures]:
+        settings = SolverSettings(rtol, atol, *self.static_settings)
+        return jax.vmap(ft.partial(_run, scenario, settings, bandwidth, values))(points)
 
 
 def _run(

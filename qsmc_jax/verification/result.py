@@ -81,6 +81,7 @@ class Verification:
         reach: Histogram of the reach time [s].
         peak_u: Largest sup |u| of the runs that held.
         steps: Solver steps of all runs together.
+        occupancy: Part of the solver's work that was not waiting for the slowest run of a block.
         solve_seconds: Time of solving, without compilation [s].
     """
 
@@ -98,6 +99,7 @@ class Verification:
     reach: Histogram
     peak_u: float
     steps: int
+    occupancy: float
     solve_seconds: float
 
     @property
@@ -126,6 +128,7 @@ class Verification:
             "peak_u": self.peak_u,
             "worst": [self.worst.row(i) for i in range(len(self.worst))],
             "steps": self.steps,
+            "occupancy": self.occupancy,
             "solve_seconds": self.solve_seconds,
         }
 

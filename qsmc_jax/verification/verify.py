@@ -14,6 +14,7 @@ from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
+from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.ladder import Ladder, firmer, is_doubtful
 from qsmc_jax.verification.result import Claim, NumericalError, Verification
@@ -74,12 +75,13 @@ def verify(
     settings, sampling = settings or SolverSettings(), sampling or Random()
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
-    Lanes(study, settings, block).compile()
+    Lanes(study, settings, block).compile_nominal()
+    workload = Workload()
     begin = time.perf_counter()
     summary = Summary(worst, longest_reach=_longest_reach(study))
     ladder = Ladder(solve, settings, block)
     sample: list[Runs] = []
-    for table in solve(range(runs), settings=settings, progress=progress):
+    for table in solve(range(runs), settings=settings, progress=progress, workload=workload):
         sample = sample or [table.take(~is_doubtful(table)).take(slice(max(block - worst, 1)))]
         _take(ladder.feed(table), summary, sink)
     _take(ladder.finish(), summary, sink)
@@ -102,6 +104,7 @@ def verify(
         reach=summary.reach,
         peak_u=summary.peak_u,
         steps=summary.steps,
+        occupancy=workload.occupancy,
         solve_seconds=time.perf_counter() - begin,
     )
 

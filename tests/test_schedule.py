@@ -1,0 +1,115 @@
+"""Runs solved in the order of their expected cost: what is learned, what it saves, and that no row depends on it."""
+
+import numpy as np
+import pytest
+
+import problems
+import qsmc_jax as qj
+from qsmc_jax.simulation.stiffness import EXPLICIT_UP_TO, stiffness, with_method
+from qsmc_jax.study import monte_carlo as engine
+from qsmc_jax.study.schedule import Schedule, Workload
+from studies_for_tests import Integrator
+
+RHO_INF = (0.0005, 0.2)
+
+
+def funnels(draw):
+    """An integrator whose funnels end anywhere between wide and 400 times narrower: half the runs are stiff."""
+    rho_inf = draw.log_uniform("rho_inf", *RHO_INF)
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, rho_inf))
+    loop = qj.ClosedLoop(Integrator(1.0), qj.references.Constant(0.0), qj.disturbances.Sine(0.5, 1.0), control)
+    return qj.Scenario(loop, x0=[draw.uniform("x0", -0.5, 0.5)], t1=20.0)
+
+
+STUDY = qj.Study(funnels, bandwidth=0.25)
+
+
+def solve(runs=512, **options):
+    workload = Workload()
+    tables = list(qj.stream(STUDY, range(runs), seed=5, block=64, workload=workload, **options))
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    return columns, workload
+
+
+def test_order_is_that_of_the_steps_learned():
+    random = np.random.default_rng(0)
+    points = random.uniform(size=(300, 3))
+    steps = np.round(1000 * np.exp(2 * points[:, 1] - points[:, 2] ** 2)).astype(int)
+    schedule = Schedule(3)
+    schedule.learn(points[:200], steps[:200])
+    ranks = np.argsort(np.argsort(steps[200:][schedule.order(points[200:])]))
+    assert np.max(np.abs(ranks - np.arange(100))) <= 2  # exactly linear in the features, up to rounding of the steps
+
+
+def test_order_is_kept_while_nothing_is_known():
+    np.testing.assert_array_equal(Schedule(2).order(np.zeros((5, 2))), np.arange(5))
+
+
+def test_runs_that_took_no_step_teach_nothing():
+    schedule = Schedule(1)
+    schedule.learn(np.array([[0.1], [0.2]]), np.array([0, 0]))
+    np.testing.assert_array_equal(schedule.order(np.array([[0.9], [0.1]])), [0, 1])
+
+
+def test_occupancy_is_the_part_of_the_work_that_was_needed():
+    workload = Workload()
+    assert workload.occupancy == 1.0
+    workload.add(np.array([10, 30]), lanes=4)
+    assert workload.occupancy == pytest.approx(40 / 120)
+
+
+def test_rows_do_not_depend_on_the_order_in_which_they_are_solved(monkeypatch):
+    sorted_rows, _ = solve()
+    monkeypatch.setattr(Schedule, "order", lambda self, points: np.arange(len(points)))
+    for name, column in solve()[0].items():
+        np.testing.assert_array_equal(column, sorted_rows[name], err_msg=name)
+
+
+def test_sorting_lets_lanes_wait_less(monkeypatch):
+    _, by_cost = solve(runs=2048, settings=qj.SolverSettings(method="tsit5"))
+    monkeypatch.setattr(Schedule, "order", lambda self, points: np.arange(len(points)))
+    _, as_drawn = solve(runs=2048, settings=qj.SolverSettings(method="tsit5"))
+    assert by_cost.steps == as_drawn.steps
+    assert by_cost.occupancy > 2 * as_drawn.occupancy
+
+
+def test_windows_come_in_order_and_whole():
+    tables = list(qj.stream(STUDY, range(64 * engine.FIRST_WINDOW + 70), seed=5, block=64))
+    assert [len(table) for table in tables] == [64 * engine.FIRST_WINDOW, 70]
+    np.testing.assert_array_equal(
+        np.concatenate([table["index"] for table in tables]), np.arange(sum(map(len, tables)))
+    )
+
+
+def test_stiffness_is_the_closed_form():
+    loop = problems.example1()
+    gain = 1.0 / (0.01 * 9.8**2)
+    assert float(stiffness(loop, [0.1, 0.1], 20.0)) == pytest.approx(gain * np.pi / (2 * 0.05) * 20.0)
+
+
+def test_auto_takes_the_implicit_method_for_stiff_runs_only():
+    steps = {method: solve(settings=qj.SolverSettings(method=method))[0] for method in ("auto", "tsit5", "rodas5p")}
+    is_stiff = np.pi / 2 / steps["auto"]["rho_inf"] * 20.0 > EXPLICIT_UP_TO
+    assert 0 < is_stiff.sum() < len(is_stiff)
+    for method, rows in (("rodas5p", is_stiff), ("tsit5", ~is_stiff)):
+        for name, column in steps["auto"].items():
+            np.testing.assert_array_equal(column[rows], steps[method][name][rows], err_msg=name)
+
+
+def test_both_methods_agree_on_the_peak():
+    tsit5, rodas5p = (solve(settings=qj.SolverSettings(method=method))[0] for method in ("tsit5", "rodas5p"))
+    np.testing.assert_allclose(rodas5p["peak_ratio"], tsit5["peak_ratio"], atol=10e-6)
+    np.testing.assert_array_equal(rodas5p["verdict"], tsit5["verdict"])
+
+
+def test_a_replayed_run_is_solved_by_the_method_of_its_row():
+    rows, _ = solve(runs=64)
+    for index in (np.argmin(rows["rho_inf"]), np.argmax(rows["rho_inf"])):
+        run = STUDY.replay(int(index), seed=5)
+        # Another program: it rounds differently, and may take a step more or less.
+        assert abs(int(run.figures.steps) - int(rows["steps"][index])) <= 0.02 * rows["steps"][index]
+
+
+def test_a_method_that_was_asked_for_is_kept():
+    settings = qj.SolverSettings(method="rodas4")
+    assert with_method(settings, problems.example1(), [0.1, 0.1], 20.0) == settings
