@@ -37,18 +37,18 @@ def test_order_is_that_of_the_steps_learned():
     steps = np.round(1000 * np.exp(2 * points[:, 1] - points[:, 2] ** 2)).astype(int)
     schedule = Schedule(3)
     schedule.learn(points[:200], steps[:200])
-    ranks = np.argsort(np.argsort(steps[200:][schedule.order(points[200:])]))
+    ranks = np.argsort(np.argsort(steps[200:][schedule.order(points[200:], np.zeros(100))]))
     assert np.max(np.abs(ranks - np.arange(100))) <= 2  # exactly linear in the features, up to rounding of the steps
 
 
-def test_order_is_kept_while_nothing_is_known():
-    np.testing.assert_array_equal(Schedule(2).order(np.zeros((5, 2))), np.arange(5))
+def test_order_is_that_of_the_hint_while_nothing_is_known():
+    np.testing.assert_array_equal(Schedule(2).order(np.zeros((4, 2)), np.array([2.0, 1.0, 1.0, 0.0])), [3, 1, 2, 0])
 
 
 def test_runs_that_took_no_step_teach_nothing():
     schedule = Schedule(1)
     schedule.learn(np.array([[0.1], [0.2]]), np.array([0, 0]))
-    np.testing.assert_array_equal(schedule.order(np.array([[0.9], [0.1]])), [0, 1])
+    np.testing.assert_array_equal(schedule.order(np.array([[0.9], [0.1]]), np.zeros(2)), [0, 1])
 
 
 def test_occupancy_is_the_part_of_the_work_that_was_needed():
@@ -60,14 +60,14 @@ def test_occupancy_is_the_part_of_the_work_that_was_needed():
 
 def test_rows_do_not_depend_on_the_order_in_which_they_are_solved(monkeypatch):
     sorted_rows, _ = solve()
-    monkeypatch.setattr(Schedule, "order", lambda self, points: np.arange(len(points)))
+    monkeypatch.setattr(Schedule, "order", lambda self, points, hint: np.arange(len(points)))
     for name, column in solve()[0].items():
         np.testing.assert_array_equal(column, sorted_rows[name], err_msg=name)
 
 
 def test_sorting_lets_lanes_wait_less(monkeypatch):
     _, by_cost = solve(runs=2048, settings=qj.SolverSettings(method="tsit5"))
-    monkeypatch.setattr(Schedule, "order", lambda self, points: np.arange(len(points)))
+    monkeypatch.setattr(Schedule, "order", lambda self, points, hint: np.arange(len(points)))
     _, as_drawn = solve(runs=2048, settings=qj.SolverSettings(method="tsit5"))
     assert by_cost.steps == as_drawn.steps
     assert by_cost.occupancy > 2 * as_drawn.occupancy

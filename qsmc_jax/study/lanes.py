@@ -14,7 +14,7 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.simulation.stiffness import method_for, stiffness, with_method
+from qsmc_jax.simulation.stiffness import stiffness, with_method
 from qsmc_jax.study.draw import PointDraw
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -46,14 +46,11 @@ class Lanes:
         fits = self.count >= 1 and self.count % LANE_MULTIPLE == 0
         require(fits, f"Argument `block` must be a positive multiple of {LANE_MULTIPLE}, but is {self.count}.")
 
-    def methods(self, points: Float[np.ndarray, "runs dim"]) -> np.ndarray:
-        """The name of the method for each of up to `count` runs."""
-        if self.settings.method != "auto":
-            return np.full(len(points), self.settings.method)
+    def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
+        """How stiff each of up to `count` runs will be."""
         program = _compiled(_stiffness, self.study.scenario, self._shapes(), self.study.dimension, self.count)
         with jax.enable_x64(True):
-            stiffnesses = np.asarray(program(self._filled(points), self._values()))
-        return np.array([method_for(each) for each in stiffnesses[: len(points)]])
+            return np.asarray(program(self._filled(points), self._values()))[: len(points)]
 
     def compile(self, method: str) -> Program:
         """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.stiffness import method_for
 from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
@@ -146,17 +147,24 @@ class _Planner:
     def _window(self, indices: np.ndarray) -> Iterator[_Piece]:
         block, dim = self._lanes.count, self._lanes.study.dimension
         chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
-        points = [self._sampling.points(self._seed, chunk, dim) for chunk in chunks]
-        methods = np.concatenate([self._lanes.methods(each) for each in points])
-        points = np.concatenate(points)
+        chunked = [self._sampling.points(self._seed, chunk, dim) for chunk in chunks]
+        points, (methods, stiffness) = np.concatenate(chunked), self._methods(chunked)
         parts = []
         for method in map(str, np.unique(methods)):
             rows = np.flatnonzero(methods == method)
-            rows = rows[self._schedules[method].order(points[rows])]
+            rows = rows[self._schedules[method].order(points[rows], stiffness[rows])]
             parts += [(method, rows[i : i + block]) for i in range(0, len(rows), block)]
         for number, (method, rows) in enumerate(parts):
             self._lanes.compile(method)
             yield _Piece(rows, indices[rows], points[rows], method, number == len(parts) - 1)
+
+    def _methods(self, chunked: list[Float[np.ndarray, "_ dim"]]) -> tuple[np.ndarray, np.ndarray]:
+        """The method for each run, and how stiff it will be if that has a say."""
+        runs, asked_for = sum(map(len, chunked)), self._lanes.settings.method
+        if asked_for != "auto":
+            return np.full(runs, asked_for), np.zeros(runs)
+        stiffness = np.concatenate([self._lanes.stiffness(points) for points in chunked])
+        return np.array([method_for(each) for each in stiffness]), stiffness
 
 
 def _reassembled(solved: list[tuple[np.ndarray, Runs]]) -> Runs:

@@ -40,7 +40,7 @@ class Schedule:
     """
 
     def __init__(self, dim: int):
-        """Knows nothing: keeps the order given."""
+        """Knows nothing."""
         size = 2 * dim + 1
         self._gram, self._moments, self._seen = np.zeros((size, size)), np.zeros(size), 0
 
@@ -52,10 +52,12 @@ class Schedule:
         self._moments += features.T @ np.log(steps[taken])
         self._seen += int(taken.sum())
 
-    def order(self, points: Float[np.ndarray, "runs dim"]) -> Int[np.ndarray, " runs"]:
-        """Row numbers, runs with few steps first."""
+    def order(
+        self, points: Float[np.ndarray, "runs dim"], hint: Float[np.ndarray, " runs"]
+    ) -> Int[np.ndarray, " runs"]:
+        """Row numbers, runs with few steps first; while nothing is known, those with a low `hint`."""
         if not self._seen:
-            return np.arange(len(points))
+            return np.argsort(hint, kind="stable")
         penalty = _PENALTY * self._seen * np.eye(len(self._gram))
         coefficients = np.linalg.solve(self._gram + penalty, self._moments)
         return np.argsort(_features(points) @ coefficients, kind="stable")
