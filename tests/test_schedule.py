@@ -5,16 +5,16 @@ import pytest
 
 import problems
 import qsmc_jax as qj
-from qsmc_jax.simulation.stiffness import EXPLICIT_UP_TO, stiffness, with_method
+from qsmc_jax.simulation.stiffness import EXPLICIT_UP_TO, method_for, stiffness, with_method
 from qsmc_jax.study import monte_carlo as engine
 from qsmc_jax.study.schedule import Schedule, Workload
 from studies_for_tests import Integrator
 
-RHO_INF = (0.0005, 0.2)
+RHO_INF = (0.007, 0.2)
 
 
 def funnels(draw):
-    """An integrator whose funnels end anywhere between wide and 400 times narrower: half the runs are stiff."""
+    """An integrator whose funnels end anywhere between wide and 29 times narrower: some of the runs are stiff."""
     rho_inf = draw.log_uniform("rho_inf", *RHO_INF)
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, rho_inf))
     loop = qj.ClosedLoop(Integrator(1.0), qj.references.Constant(0.0), qj.disturbances.Sine(0.5, 1.0), control)
@@ -70,7 +70,7 @@ def test_sorting_lets_lanes_wait_less(monkeypatch):
     monkeypatch.setattr(Schedule, "order", lambda self, points, hint: np.arange(len(points)))
     _, as_drawn = solve(runs=2048, settings=qj.SolverSettings(method="tsit5"))
     assert by_cost.steps == as_drawn.steps
-    assert by_cost.occupancy > 2 * as_drawn.occupancy
+    assert by_cost.occupancy > 1.3 * as_drawn.occupancy
 
 
 def test_windows_come_in_order_and_whole():
@@ -87,9 +87,10 @@ def test_stiffness_is_the_closed_form():
     assert float(stiffness(loop, [0.1, 0.1], 20.0)) == pytest.approx(gain * np.pi / (2 * 0.05) * 20.0)
 
 
-def test_auto_takes_the_implicit_method_for_stiff_runs_only():
+def test_auto_takes_the_implicit_method_for_the_stiffest_runs_only():
     steps = {method: solve(settings=qj.SolverSettings(method=method))[0] for method in ("auto", "tsit5", "rodas5p")}
-    is_stiff = np.pi / 2 / steps["auto"]["rho_inf"] * 20.0 > EXPLICIT_UP_TO
+    assert STUDY.stiffness < EXPLICIT_UP_TO  # so that a run must be thrice as stiff to be worth a second program
+    is_stiff = np.pi / 2 / steps["auto"]["rho_inf"] * 20.0 > 3 * EXPLICIT_UP_TO
     assert 0 < is_stiff.sum() < len(is_stiff)
     for method, rows in (("rodas5p", is_stiff), ("tsit5", ~is_stiff)):
         for name, column in steps["auto"].items():
@@ -108,6 +109,12 @@ def test_a_replayed_run_is_solved_by_the_method_of_its_row():
         run = STUDY.replay(int(index), seed=5)
         # Another program: it rounds differently, and may take a step more or less.
         assert abs(int(run.figures.steps) - int(rows["steps"][index])) <= 0.02 * rows["steps"][index]
+
+
+def test_stiff_studies_need_one_method():
+    stiff = STUDY.substitute(rho_inf=0.01)
+    assert stiff.stiffness > EXPLICIT_UP_TO
+    assert {method_for(each, stiff.stiffness) for each in (1.0, 1e9)} == {"rodas5p"}
 
 
 def test_a_method_that_was_asked_for_is_kept():

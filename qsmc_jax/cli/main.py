@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from qsmc_jax.cli.cache import keep_compiled_programs
 from qsmc_jax.cli.console import progress_bar, say, waiting
 from qsmc_jax.cli.study_file import load_study
 
@@ -37,6 +38,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the study.")]
 Out = Annotated[Path | None, typer.Option(help="New folder for data and pictures.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Rtol = Annotated[float, typer.Option(help="Relative tolerance of the solver.")]
+Cache = Annotated[bool, typer.Option("--cache/--no-cache", help="Keep compiled programs in the user's cache folder.")]
 MaxSteps = Annotated[int, typer.Option(help="Steps after which a run is given up as UNDECIDED.")]
 
 
@@ -54,9 +56,10 @@ def verify(
     max_steps: MaxSteps = 100_000,
     block: Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")] = 512,
     threads: Annotated[int | None, typer.Option(help="Blocks solved at once; default one a core.")] = None,
+    cache: Cache = True,
 ) -> None:
     """Verify the three claims of Theorem 1 by independent random runs, each with an exact interval."""
-    with _errors_told():
+    with _session(cache):
         from qsmc_jax import SolverSettings
         from qsmc_jax import verify as run_verification
         from qsmc_jax.report.folder import ResultFolder, to_json
@@ -101,9 +104,10 @@ def simulate(
     as_json: Json = False,
     rtol: Rtol = 1e-6,
     max_steps: MaxSteps = 100_000,
+    cache: Cache = True,
 ) -> None:
     """Solve the nominal run of a study, or replay one run of a verification, in full."""
-    with _errors_told():
+    with _session(cache):
         from qsmc_jax import SolverSettings
         from qsmc_jax.report.folder import ResultFolder, to_json
         from qsmc_jax.report.signals import figures_as_numbers, signals_table
@@ -128,9 +132,9 @@ def simulate(
 
 
 @app.command()
-def paper(out: Out = None, as_json: Json = False) -> None:
+def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
     """Both examples of the paper from all their starts: a table of claim, paper's number and ours, and the pictures."""
-    with _errors_told():
+    with _session(cache):
         from qsmc_jax.report.folder import ResultFolder, to_json
         from qsmc_jax.report.paper_table import as_text, rows, simulate_example
         from qsmc_jax.simulation.trajectory_plots import plot_phase_plane, plot_trajectory
@@ -155,8 +159,10 @@ def paper(out: Out = None, as_json: Json = False) -> None:
 
 
 @contextlib.contextmanager
-def _errors_told() -> Iterator[None]:
+def _session(cache: bool) -> Iterator[None]:
     """Bad input ends in one sentence and exit code 2, an interruption in 3; never in a traceback."""
+    if cache:
+        keep_compiled_programs()
     try:
         yield
     except ValueError as error:

@@ -1,9 +1,7 @@
 """The one place that calls `diffeqsolve`: a problem, a start and a horizon in, figures (and signals) out."""
 
 import diffrax as dfx
-import jax
 import jax.numpy as jnp
-import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base import trees
@@ -18,17 +16,9 @@ from qsmc_jax.simulation.guarded_solver import GuardedSolver, Run
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.step_size import controller
 from qsmc_jax.simulation.tally import Problem, first_tally
 from qsmc_jax.simulation.tsit5 import Tsit5
-
-# The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends
-# there.
-_LEAST_STEP = 1e-15
-# The first step, relative to the horizon: small, so that no start is too stiff for it. It grows tenfold with every step
-# kept.
-_FIRST_STEP = 1e-6
-# Break times closer than this, relative to the horizon, are one and the same up to rounding.
-_SAME_TIME = 1e-13
 
 
 def pose(loop: ClosedLoop, bandwidth: RealScalarLike, settings: SolverSettings) -> Problem:
@@ -79,12 +69,13 @@ def _solve(
         GuardedSolver(_method(settings), settings),
         t0=jnp.zeros(()),
         t1=end,
-        dt0=_FIRST_STEP * horizon,
+        dt0=None,
         y0=run0,
         args=problem,
         saveat=_saveat(times),
-        stepsize_controller=_controller(problem, horizon),
+        stepsize_controller=controller(problem.loop.disturbance.break_times, horizon),
         max_steps=settings.max_steps,
+        adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(),
         throw=False,
     )
     last, saved = solution.ys  # pyright: ignore[reportGeneralTypeIssues]  # None only if nothing is saved
@@ -118,36 +109,6 @@ def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:
 def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:
     implicit = {"rodas4": RODAS4, "rodas5p": RODAS5P}
     return Rosenbrock(implicit[settings.method]) if settings.method in implicit else Tsit5()
-
-
-def _controller(problem: Problem, horizon: RealScalarLike) -> dfx.AbstractStepSizeController:
-    """Adaptive steps on the error of `y` alone, which stop wherever the disturbance breaks.
-
-    PI control with exponents 1/8 and -1/16 of the errors of this step and the last: the controller sees their roots.
-    """
-    controller = dfx.PIDController(
-        rtol=0.0,
-        atol=1.0,
-        norm=_norm,
-        pcoeff=1.0,
-        icoeff=1.0,
-        error_order=1.0,
-        dtmin=_LEAST_STEP * horizon,
-        force_dtmin=False,
-    )
-    breaks = jnp.sort(jnp.asarray(problem.loop.disturbance.break_times))
-    if breaks.size == 0:
-        return controller
-    is_new = jnp.concatenate([jnp.ones(1, bool), jnp.diff(breaks) > _SAME_TIME * horizon])
-    return dfx.ClipStepSizeController(controller, jump_ts=jnp.where(is_new, breaks, jnp.inf))
-
-
-def _norm(error: Run) -> Float[Array, ""]:
-    """The 16th root of the largest error: the controller's powers are then 2 and -1, which cost nothing."""
-    root = jax.lax.stop_gradient(optx.max_norm(error.y))
-    for _ in range(4):
-        root = jnp.sqrt(root)
-    return root
 
 
 def _saveat(ts: Float[Array, " times"] | None) -> dfx.SaveAt:

@@ -16,6 +16,7 @@ _LOOSEST_IN_FUNNEL = 3e-5
 
 Method = Literal["auto", "tsit5", "rodas4", "rodas5p"]
 CoordinatesName = Literal["funnel", "physical"]
+Adjoint = Literal["reverse", "forward"]
 
 
 class SolverSettings(AbstractModule):
@@ -31,6 +32,8 @@ class SolverSettings(AbstractModule):
         coordinates: `"funnel"` integrates the loop in the funnel coordinate, which has no pole to step over;
             `"physical"` integrates the states as they are and rejects every step with a stage outside the funnel: an
             independent cross-check.
+        adjoint: The mode of differentiation that the solve is made for: `"reverse"` (one result, any number of
+            parameters) or `"forward"` (`jvp`, `jacfwd`; the quicker one for a few parameters).
 
     Raises:
         ValueError: A tolerance is not positive, rtol is not below 1, or a name is unknown.
@@ -41,6 +44,7 @@ class SolverSettings(AbstractModule):
     max_steps: int = eqx.field(static=True)
     method: Method = eqx.field(static=True)
     coordinates: CoordinatesName = eqx.field(static=True)
+    adjoint: Adjoint = eqx.field(static=True)
 
     def __init__(
         self,
@@ -49,12 +53,14 @@ class SolverSettings(AbstractModule):
         max_steps: int = 100_000,
         method: Method = "auto",
         coordinates: CoordinatesName = "funnel",
+        adjoint: Adjoint = "reverse",
     ):
         self.rtol = as_float64(rtol)
         self.atol = as_float64(self.rtol / 100.0 if atol is None else atol)
         self.max_steps = max_steps
         self.method = method
         self.coordinates = coordinates
+        self.adjoint = adjoint
 
     def __check_init__(self):
         require_positive("rtol", self.rtol)
@@ -64,12 +70,13 @@ class SolverSettings(AbstractModule):
         for name, value, known in (
             ("method", self.method, get_args(Method)),
             ("coordinates", self.coordinates, get_args(CoordinatesName)),
+            ("adjoint", self.adjoint, get_args(Adjoint)),
         ):
             require(value in known, f"Argument `{name}` must be one of {list(known)}, but is {value!r}.")
 
     def by(self, method: Method) -> "SolverSettings":
         """The same settings with another method."""
-        return SolverSettings(self.rtol, self.atol, self.max_steps, method, self.coordinates)
+        return SolverSettings(self.rtol, self.atol, self.max_steps, method, self.coordinates, self.adjoint)
 
     @property
     def funnel_atol(self) -> RealScalarLike:

@@ -24,15 +24,30 @@ def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> RealScalarLike:
     return abs(gain) * (0.5 * math.pi) / loop.control.funnel.rho_inf * t1
 
 
-def method_for(stiffness: float) -> str:
-    """The method for a run of the given stiffness."""
-    return "rodas5p" if stiffness > EXPLICIT_UP_TO else "tsit5"
+def method_for(stiffness: float, nominal: float) -> str:
+    """The method for a run of the given stiffness, in a study whose nominal run has the other.
+
+    A second method is a second program to compile: only runs that are much stiffer than the nominal one are worth it.
+    """
+    is_stiff = stiffness > (3.0 * EXPLICIT_UP_TO if nominal <= EXPLICIT_UP_TO else 0.0)
+    return "rodas5p" if is_stiff else "tsit5"
 
 
-def with_method(settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> SolverSettings:
-    """The settings with a method in place of `"auto"`; the explicit one while the loop is being traced."""
+def with_method(
+    settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike, nominal: float | None = None
+) -> SolverSettings:
+    """The settings with a method in place of `"auto"`; the explicit one while the loop is being traced.
+
+    Args:
+        settings: The settings.
+        loop: The loop.
+        x0: Its start, n numbers.
+        t1: The horizon [s].
+        nominal: Stiffness of the nominal run of the study; None for a run on its own.
+    """
     if settings.method != "auto":
         return settings
     if is_traced(loop, x0, t1):
         return settings.by("tsit5")
-    return settings.by(method_for(float(stiffness(loop, x0, t1))))
+    own = float(stiffness(loop, x0, t1))
+    return settings.by(method_for(own, own if nominal is None else nominal))

@@ -14,7 +14,7 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.simulation.stiffness import stiffness, with_method
+from qsmc_jax.simulation.stiffness import method_for, stiffness
 from qsmc_jax.study.draw import PointDraw
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -55,13 +55,13 @@ class Lanes:
     def compile(self, method: str) -> Program:
         """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
         s = self.settings
-        block = _Block((s.max_steps, method, s.coordinates))
+        block = _Block((s.max_steps, method, s.coordinates, s.adjoint))
         return _compiled(block, self.study.scenario, self._shapes(), self.study.dimension, self.count, numbers=3)
 
     def compile_nominal(self) -> None:
         """The program that the nominal run needs, and with it most others."""
-        nominal = self.study.nominal
-        self.compile(with_method(self.settings, nominal.loop, nominal.x0, nominal.t1).method)
+        method, nominal = self.settings.method, self.study.stiffness
+        self.compile(method_for(nominal, nominal) if method == "auto" else method)
 
     def solve(self, indices: np.ndarray, points: Float[np.ndarray, "runs dim"], method: str) -> Runs:
         """The rows of up to `count` runs. Lanes left over repeat the first run and are dropped."""
@@ -97,7 +97,7 @@ def _compiled(
         points = jax.ShapeDtypeStruct((count, dim), np.float64)
         values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
         rest = (jax.ShapeDtypeStruct((), np.float64),) * numbers
-        program = jax.jit(ft.partial(block, scenario)).lower(points, values, *rest)
+        program = jax.jit(block, static_argnums=0).lower(scenario, points, values, *rest)
         return program.compile(compiler_options=COMPILER_OPTIONS)
 
 

@@ -164,7 +164,8 @@ class _Planner:
         if asked_for != "auto":
             return np.full(runs, asked_for), np.zeros(runs)
         stiffness = np.concatenate([self._lanes.stiffness(points) for points in chunked])
-        return np.array([method_for(each) for each in stiffness]), stiffness
+        nominal = self._lanes.study.stiffness
+        return np.array([method_for(each, nominal) for each in stiffness]), stiffness
 
 
 def _reassembled(solved: list[tuple[np.ndarray, Runs]]) -> Runs:

@@ -1,6 +1,7 @@
 """A study: scenarios drawn from the unit cube, and the bandwidth they are judged by."""
 
 import dataclasses
+import functools as ft
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,6 +14,7 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import Draw
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.stiffness import stiffness, with_method
 from qsmc_jax.simulation.trajectory import Trajectory, check_start, simulate
 from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
 from qsmc_jax.study.sampling import AbstractSampling, Random
@@ -88,6 +90,11 @@ class Study:
         """Coordinates of the unit cube that a run takes."""
         return dimension(self.specs)
 
+    @ft.cached_property
+    def stiffness(self) -> float:
+        """How stiff the nominal run is; see `stiffness` in simulation/stiffness.py."""
+        return float(stiffness(self.nominal.loop, self.nominal.x0, self.nominal.t1))
+
     def substitute(self, **values: Any) -> "Study":
         """The same study with the given names fixed: parameters at other values, or distributions at a number.
 
@@ -126,7 +133,9 @@ class Study:
         return self._simulate(self.nominal, ts, settings)
 
     def _simulate(self, scenario: Scenario, ts: Any, settings: SolverSettings | None) -> Trajectory:
-        return simulate(scenario.loop, scenario.x0, scenario.t1, bandwidth=self.bandwidth, ts=ts, settings=settings)
+        loop, x0, t1 = scenario.loop, scenario.x0, scenario.t1
+        settings = with_method(settings or SolverSettings(), loop, x0, t1, self.stiffness)
+        return simulate(loop, x0, t1, bandwidth=self.bandwidth, ts=ts, settings=settings)
 
     def _at(self, point: np.ndarray | None, values: Mapping[str, Any]) -> Scenario:
         result = _call(self.scenario, PointDraw(point, values))
