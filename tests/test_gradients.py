@@ -16,12 +16,12 @@ ATOL = {DEFAULT: 2e-5, TIGHT: 1e-8}
 STEP = 1e-4
 
 
-def peak(gains, gain_sign, rtol):
+def peak(gains, gain_sign, rtol, adjoint="reverse"):
     """sup |sigma|/rho of a loop of order 1 that follows sin t under d = sin(3 t) / 2, and the verdict."""
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, gains["mu"], gains["rho_inf"]), gain_sign)
     plant, reference = problems.chain(1)(drift_scale=1.0), qj.references.SumOfSines([1.0], [1.0])
     loop = qj.ClosedLoop(plant, reference, qj.disturbances.Sine(0.5, 3.0), control)
-    settings = qj.SolverSettings(rtol)
+    settings = qj.SolverSettings(rtol, adjoint=adjoint)
     figures, _ = solve(pose(loop, 0.2, settings), (jnp.asarray(0.1),), jnp.asarray(4.0), settings)
     return figures.peak_ratio, (figures.verdict, figures.peak_time)
 
@@ -46,3 +46,15 @@ def test_gradient_of_a_violated_run_is_finite(program):
     assert verdict == qj.Verdict.VIOLATED
     assert value == 1.0
     assert np.all(np.isfinite(list(gradient.values())))
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_forward_mode_gives_the_same_gradient(program, gain):
+    (_, _), reverse = program(GAINS, 1.0, TIGHT)
+    direction = {name: float(name == gain) for name in GAINS}
+
+    @jax.jit
+    def forward(gains, rtol):
+        return jax.jvp(lambda g: peak(g, 1.0, rtol, "forward")[0], (gains,), (direction,))[1]
+
+    assert float(forward(GAINS, TIGHT)) == pytest.approx(float(reverse[gain]), abs=ATOL[TIGHT], rel=0)

@@ -50,6 +50,16 @@ def test_example1_is_held_from_a_thousand_random_starts(rho_inf, rtol):
     check_held(rho_inf, rtol, runs=1000, block=512)
 
 
+def test_peaks_between_the_ends_of_long_stiff_steps_are_found():
+    """In a narrow funnel steps last up to a second; what they hide between their ends once was 30 x rtol in one run."""
+    study = narrowing(0.0005).substitute(amplitude_spread=0.5)
+    rough, fine = (
+        qj.monte_carlo(study, 2048, settings=qj.SolverSettings(rtol, method="rodas5p"), block=512)["peak_ratio"]
+        for rtol in (1e-4, 1e-7)
+    )
+    np.testing.assert_allclose(rough, fine, rtol=0, atol=5e-4)
+
+
 @pytest.mark.parametrize("claim", ["verdict", "verdict_reaching", "verdict_tracking"])
 def test_every_claim_of_example1_holds(claim):
     table = qj.monte_carlo(narrowing(0.05), 64, block=64)

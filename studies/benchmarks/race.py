@@ -1,0 +1,227 @@
+"""How fast, at what accuracy, and against whom. One command: `python studies/benchmarks/race.py --out results/race`.
+
+Question: how many runs of Example 1 a second, side by side with what else a user could do, as the funnel tightens?
+Time: some ten minutes on two cores (`--quick`: one).
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import contestants
+import matplotlib.pyplot as plt
+import numpy as np
+
+import qsmc_jax as qj
+
+RHO_INF = (0.05, 0.005, 0.0005)
+TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+# Peaks within this of the truth are accurate enough to compare speeds at.
+WANTED = 1e-4
+
+
+def scenario(draw: Any) -> qj.Scenario:
+    """Example 1 from random starts, under a sine of random amplitude."""
+    funnel = qj.Funnel(4.0, 3.0, draw.parameter("rho_inf", 0.05, bounds=(1e-5, 0.09)))
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), funnel)
+    disturbance = qj.disturbances.Sine(draw.uniform("amplitude", -0.5, 0.5), 1.0)
+    loop = qj.ClosedLoop(qj.plants.InvertedPendulum(), qj.references.SumOfSines([1.0], [1.0]), disturbance, control)
+    return qj.Scenario(loop, draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=contestants.HORIZON)
+
+
+STUDY = qj.Study(scenario, bandwidth=0.1)
+
+
+def chain(n: int) -> qj.AbstractPlant:
+    """Integrators in a row, n of them."""
+
+    class Chain(qj.AbstractPlant):
+        order: ClassVar[int] = n
+
+        def drift(self, t: Any, x: Any) -> Any:
+            return -x[0]
+
+        def gain(self, t: Any, x: Any) -> Any:
+            return 1.0
+
+    return Chain()
+
+
+def ours(method: str = "auto", block: int = 1024) -> Callable[..., np.ndarray]:
+    """This library, in the terms of the contestants: it draws their starts and amplitudes itself, from seed 0."""
+
+    def solve(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
+        settings = qj.SolverSettings(rtol=tolerance, method=method, max_steps=1_000_000)
+        study = qj.Study(scenario, bandwidth=2 * rho_inf, values={"rho_inf": rho_inf})
+        return qj.monte_carlo(study, len(x0), settings=settings, block=min(block, -(-len(x0) // 64) * 64))["peak_ratio"]
+
+    return solve
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One contestant at one tolerance."""
+
+    rho_inf: float
+    name: str
+    tolerance: float
+    runs: int
+    runs_per_second: float
+    peak_error: float
+    false_violations: int
+
+
+def race(
+    rivals: dict[str, tuple[Callable[..., np.ndarray], int]], tolerances: Sequence[float], repeats: int
+) -> list[Row]:
+    """All contestants, interleaved, on the same runs; medians of the repeats."""
+    rows = []
+    drawn = qj.monte_carlo(STUDY, max(count for _, count in rivals.values()))
+    x0, amplitudes = np.stack([drawn["x0[0]"], drawn["x0[1]"]], axis=1), drawn["amplitude"]
+    for rho_inf in RHO_INF:
+        truth = ours("rodas5p")(x0, amplitudes, rho_inf, 1e-11)
+        for tolerance in tolerances:
+            times: dict[str, list[float]] = {name: [] for name in rivals}
+            peaks = {}
+            for repeat in range(repeats + 1):  # the first compiles
+                for name, (solve, count) in rivals.items():
+                    begin = time.perf_counter()
+                    peaks[name] = solve(x0[:count], amplitudes[:count], rho_inf, tolerance)
+                    times[name] += [time.perf_counter() - begin] if repeat else []
+            for name, (_, count) in rivals.items():
+                error = float(np.max(np.abs(peaks[name] - truth[:count])))
+                false = int(np.sum(~(peaks[name] < 1.0)))
+                rows.append(Row(rho_inf, name, tolerance, count, count / float(np.median(times[name])), error, false))
+                print(_line(rows[-1]), flush=True)
+    return rows
+
+
+def _line(row: Row) -> str:
+    return (
+        f"{row.rho_inf:<8g}{row.name:28}{row.tolerance:<9.0e}{row.runs:6d}{row.runs_per_second:12.0f}"
+        f"{row.peak_error:12.1e}{row.false_violations:8d}"
+    )
+
+
+def headline(runs: int, repeats: int) -> dict[str, float]:
+    """Runs a second of Example 1 at rtol 1e-6, turn by turn: ours, the plain diffrax program, and C++ if it compiles."""
+    cpp, times = contestants.CompiledTsit5(), {"qsmc_jax": [], "plain vmapped diffrax": [], "C++, no supremum": []}
+    drawn = qj.monte_carlo(STUDY, runs)
+    x0, amplitudes = np.stack([drawn["x0[0]"], drawn["x0[1]"]], axis=1), drawn["amplitude"]
+    for repeat in range(repeats + 1):  # the first compiles
+        for name, solve in (("qsmc_jax", ours()), ("plain vmapped diffrax", contestants.plain_diffrax)):
+            begin = time.perf_counter()
+            solve(x0, amplitudes, 0.05, 1e-6)
+            times[name] += [time.perf_counter() - begin] if repeat else []
+        if cpp.is_there and repeat:
+            times["C++, no supremum"].append(cpp.seconds(runs, os.cpu_count() or 1, 1e-6))
+    return {name: runs / float(np.median(each)) for name, each in times.items() if each}
+
+
+def against_runs(counts: Sequence[int]) -> dict[int, float]:
+    """Runs a second against the number of runs, after compilation."""
+    speeds = {}
+    for count in counts:
+        begin = time.perf_counter()
+        for _ in qj.stream(STUDY, range(count), block=1024 if count >= 2048 else 64):
+            pass
+        speeds[count] = count / (time.perf_counter() - begin)
+    return speeds
+
+
+def against_order(orders: Sequence[int], runs: int) -> dict[int, float]:
+    """Runs a second against the order of the plant."""
+    speeds = {}
+    for order in orders:
+        plant, surface = chain(order), qj.SlidingSurface.binomial(2.0, order)
+
+        def of_order(draw: Any, plant: Any = plant, surface: Any = surface, order: int = order) -> qj.Scenario:
+            control = qj.QuasiSlidingControl(surface, qj.Funnel(2.0 * 3.0**order, 2.0, 0.05))
+            loop = qj.ClosedLoop(plant, qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Sine(0.5, 1.0), control)
+            return qj.Scenario(loop, draw.uniform("x0", 0.0, 0.5, shape=(order,)), t1=contestants.HORIZON)
+
+        study = qj.Study(of_order, bandwidth=0.1)
+        qj.monte_carlo(study, 64, block=512)
+        begin = time.perf_counter()
+        qj.monte_carlo(study, runs, seed=1, block=512)
+        speeds[order] = runs / (time.perf_counter() - begin)
+    return speeds
+
+
+def fastest_at(rows: list[Row], wanted: float) -> list[Row]:
+    """Per funnel and contestant the fastest row whose peaks are that accurate."""
+    best: dict[tuple[float, str], Row] = {}
+    for row in rows:
+        key = row.rho_inf, row.name
+        if row.peak_error <= wanted and (key not in best or row.runs_per_second > best[key].runs_per_second):
+            best[key] = row
+    return list(best.values())
+
+
+def plot(rows: list[Row]) -> Any:
+    """Work against precision, a panel a funnel."""
+    names = list(dict.fromkeys(row.name for row in rows))
+    figure, axes = plt.subplots(1, len(RHO_INF), figsize=(13, 4.4), sharex=True, sharey=True, layout="constrained")
+    for ax, rho_inf in zip(axes, RHO_INF, strict=True):
+        for name, marker in zip(names, "osD^vPX*", strict=False):
+            mine = [row for row in rows if row.name == name and row.rho_inf == rho_inf]
+            error = [max(row.peak_error, 1e-9) for row in mine]
+            ax.plot(error, [1e6 / row.runs_per_second for row in mine], marker=marker, label=name)
+        ax.axvline(WANTED, color="0.6", linestyle=":")
+        ax.set(
+            xscale="log",
+            yscale="log",
+            title=rf"$\rho_\infty$ = {rho_inf:g}",
+            xlabel=r"largest error of sup$|\sigma|/\rho$ [-]",
+        )
+        ax.grid(alpha=0.3)
+    axes[0].set_ylabel("time a run [µs]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names))
+    return figure
+
+
+def main() -> None:
+    """Races, prints and writes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for race.json and race.png")
+    parser.add_argument("--quick", action="store_true", help="fewer repeats, tolerances and runs")
+    options = parser.parse_args()
+    many, few, tiny = (2048, 256, 4) if options.quick else (8192, 256, 4)
+    rivals = {
+        "qsmc_jax": (ours(), many),
+        "plain vmapped diffrax": (contestants.plain_diffrax, few),
+        "NumPy RK4, fixed steps": (contestants.numpy_rk4, few),
+        "SciPy LSODA": (contestants.scipy_loop("LSODA"), tiny),
+        "SciPy RK45": (contestants.scipy_loop("RK45"), tiny),
+    }
+    numba_solve = contestants.numba_tsit5()
+    if numba_solve:
+        rivals["numba Tsit5, parallel"] = (numba_solve, few)
+    print(f"{'rho_inf':8}{'contestant':28}{'rtol':9}{'runs':>6}{'runs/s':>12}{'peak error':>12}{'false':>8}")
+    rows = race(rivals, TOLERANCES[1::2] if options.quick else TOLERANCES, 1 if options.quick else 5)
+    best = fastest_at(rows, WANTED)
+    print(f"\nFastest with peaks within {WANTED:g}:", *map(_line, best), sep="\n")
+    extra = {
+        "headline": headline(many, 1 if options.quick else 5),
+        "runs": against_runs((100, 1000, 10_000) if options.quick else (100, 1000, 10_000, 100_000, 1_000_000)),
+        "order": against_order((1, 2, 4) if options.quick else range(1, 9), few),
+    }
+    print(json.dumps(extra, indent=1))
+    options.out.mkdir(parents=True, exist_ok=True)
+    content = {
+        "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",
+        "rows": [dataclasses.asdict(row) for row in rows],
+        **extra,
+    }
+    (options.out / "race.json").write_text(json.dumps(content, indent=1))
+    plot(rows).savefig(options.out / "race.png", dpi=150)
+
+
+if __name__ == "__main__":
+    main()
