@@ -117,3 +117,24 @@ def test_progress_is_told_after_each_block():
 def test_bad_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         qj.monte_carlo(study, **arguments)
+
+
+def test_vectorised_functions_can_be_switched_off():
+    """Sines come from another library then: the same runs up to what rounding does to the steps."""
+    fast, plain = (
+        qj.monte_carlo(with_sines, 64, block=BLOCK, settings=qj.SolverSettings(vectorise=vectorise))
+        for vectorise in (True, False)
+    )
+    np.testing.assert_allclose(fast["peak_ratio"], plain["peak_ratio"], rtol=1e-6)
+    assert not same_to_the_last_bit(fast, plain)
+
+
+def driven(draw):
+    """An integrator under a sine."""
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.1))
+    disturbance = qj.disturbances.Sine(0.5, draw.uniform("frequency", 1.0, 3.0))
+    loop = qj.ClosedLoop(Integrator(1.0), qj.references.Constant(0.0), disturbance, control)
+    return qj.Scenario(loop, x0=[0.1], t1=6.0)
+
+
+with_sines = qj.Study(driven, bandwidth=0.2)

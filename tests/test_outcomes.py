@@ -171,6 +171,7 @@ BAD = {
     "no steps": (lambda: qj.SolverSettings(max_steps=0), "`max_steps` must be at least 1, but is 0"),
     "method": (lambda: qj.SolverSettings(method="euler"), "`method` must be one of .*tsit5.* but is 'euler'"),
     "coordinates": (lambda: qj.SolverSettings(coordinates="polar"), "`coordinates` must be one of .* but is 'polar'"),
+    "adjoint": (lambda: qj.SolverSettings(adjoint="both"), "`adjoint` must be one of .* but is 'both'"),
     "c too long": (lambda: loop_of(Troubled(), [1.0]), "`c` .* must have 0 coefficients .* order 1, but has 1"),
     "drift a vector": (lambda: loop_of(Vector(), [1.0]), r"`drift` of `Vector` must return one number, .* \(2,\)"),
     "gain None": (lambda: loop_of(Nothing()), "`gain` of `Nothing` must return one number, but returns NoneType"),

@@ -6,8 +6,8 @@ import pytest
 import problems
 import qsmc_jax as qj
 from qsmc_jax.simulation.stiffness import EXPLICIT_UP_TO, method_for, stiffness, with_method
-from qsmc_jax.study import monte_carlo as engine
 from qsmc_jax.study.schedule import Schedule, Workload
+from qsmc_jax.study.windows import FIRST_WINDOW
 from studies_for_tests import Integrator
 
 RHO_INF = (0.007, 0.2)
@@ -74,8 +74,8 @@ def test_sorting_lets_lanes_wait_less(monkeypatch):
 
 
 def test_windows_come_in_order_and_whole():
-    tables = list(qj.stream(STUDY, range(64 * engine.FIRST_WINDOW + 70), seed=5, block=64))
-    assert [len(table) for table in tables] == [64 * engine.FIRST_WINDOW, 70]
+    tables = list(qj.stream(STUDY, range(64 * FIRST_WINDOW + 70), seed=5, block=64))
+    assert [len(table) for table in tables] == [64 * FIRST_WINDOW, 70]
     np.testing.assert_array_equal(
         np.concatenate([table["index"] for table in tables]), np.arange(sum(map(len, tables)))
     )

@@ -51,25 +51,30 @@ def peak_gains(c: Float[Array | np.ndarray, " c"], points: int | None = None) ->
     Returns:
         One number per derivative; `inf` if the polynomial is not Hurwitz.
     """
+    if c.shape[0] < 2:
+        return _first_order_gains(c)
     if points is None:
         points = _TRACED_POINTS if is_traced(c) or not is_hurwitz(c) else _points_for(np.asarray(c))
     return _peak_gains(c, points)
+
+
+def _first_order_gains(c: Float[Array | np.ndarray, " c"]) -> Float[Array | np.ndarray, " n"]:
+    """The gains for n <= 2: 1, or 1 / c_1 and 2. Numbers are not worth a program to compile."""
+    xp: Any = jnp if is_traced(c) else np
+    stable, last = c > 0.0, xp.ones(1)
+    gains = xp.concatenate([1.0 / xp.where(stable, c, 1.0), (1.0 + c.shape[0]) * last])
+    return xp.where(xp.concatenate([stable, xp.all(stable)[None]]), gains, xp.inf)
 
 
 @eqx.filter_jit
 def _peak_gains(c: Float[Array | np.ndarray, " c"], points: int) -> Float[Array, " n"]:
     c = jnp.asarray(c)
     degree = c.shape[0]
-    if degree == 0:
-        return jnp.ones(1)
     stable = is_hurwitz(c)
     safe = jnp.where(stable, c, jnp.asarray([math.comb(degree, j) for j in range(degree)], c.dtype))
-    if degree == 1:
-        gains = jnp.concatenate([1.0 / safe, 2.0 * jnp.ones(1)])
-    else:
-        units = jax.lax.stop_gradient(_pole_bound(safe)) ** np.arange(degree, -1.0, -1.0)
-        direct = jnp.zeros(degree + 1).at[-1].set(1.0)
-        gains = (_variations(safe / units[:-1], points) + direct) / units
+    units = jax.lax.stop_gradient(_pole_bound(safe)) ** np.arange(degree, -1.0, -1.0)
+    direct = jnp.zeros(degree + 1).at[-1].set(1.0)
+    gains = (_variations(safe / units[:-1], points) + direct) / units
     return jnp.where(stable, gains, jnp.inf)
 
 

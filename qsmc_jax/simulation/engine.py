@@ -50,7 +50,8 @@ def solve(
         The figures, and the coordinates at `ts` (n arrays; meaningless after the end of a run that stopped early
         or was refused).
     """
-    return vectorised(_solve)(problem, x0, t1, settings, ts)
+    solver = vectorised(_solve) if settings.vectorise else _solve
+    return solver(problem, x0, t1, settings, ts)
 
 
 def _solve(

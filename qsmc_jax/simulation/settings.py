@@ -1,6 +1,7 @@
 """How a loop is solved: method, tolerances, step limit, coordinates. The only place with such numbers."""
 
-from typing import Literal, get_args
+import dataclasses
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,6 +35,8 @@ class SolverSettings(AbstractModule):
             independent cross-check.
         adjoint: The mode of differentiation that the solve is made for: `"reverse"` (one result, any number of
             parameters) or `"forward"` (`jvp`, `jacfwd`; the quicker one for a few parameters).
+        vectorise: Whether sine, cosine, tangent and arctangent in the loop, your plant's included, are replaced on CPUs
+            by ones that XLA vectorises; they differ in the last place.
 
     Raises:
         ValueError: A tolerance is not positive, rtol is not below 1, or a name is unknown.
@@ -45,6 +48,7 @@ class SolverSettings(AbstractModule):
     method: Method = eqx.field(static=True)
     coordinates: CoordinatesName = eqx.field(static=True)
     adjoint: Adjoint = eqx.field(static=True)
+    vectorise: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -54,6 +58,7 @@ class SolverSettings(AbstractModule):
         method: Method = "auto",
         coordinates: CoordinatesName = "funnel",
         adjoint: Adjoint = "reverse",
+        vectorise: bool = True,
     ):
         self.rtol = as_float64(rtol)
         self.atol = as_float64(self.rtol / 100.0 if atol is None else atol)
@@ -61,6 +66,7 @@ class SolverSettings(AbstractModule):
         self.method = method
         self.coordinates = coordinates
         self.adjoint = adjoint
+        self.vectorise = vectorise
 
     def __check_init__(self):
         require_positive("rtol", self.rtol)
@@ -74,9 +80,15 @@ class SolverSettings(AbstractModule):
         ):
             require(value in known, f"Argument `{name}` must be one of {list(known)}, but is {value!r}.")
 
-    def by(self, method: Method) -> "SolverSettings":
-        """The same settings with another method."""
-        return SolverSettings(self.rtol, self.atol, self.max_steps, method, self.coordinates, self.adjoint)
+    def replace(self, **changes: Any) -> "SolverSettings":
+        """The same settings but for the given ones."""
+        return dataclasses.replace(self, **changes)
+
+    @property
+    def choices(self) -> tuple[tuple[str, Any], ...]:
+        """Name and value of what is static: another choice is another program."""
+        static = [field.name for field in dataclasses.fields(self) if field.metadata.get("static")]
+        return tuple((name, getattr(self, name)) for name in static)
 
     @property
     def funnel_atol(self) -> RealScalarLike:

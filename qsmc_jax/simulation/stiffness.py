@@ -48,6 +48,6 @@ def with_method(
     if settings.method != "auto":
         return settings
     if is_traced(loop, x0, t1):
-        return settings.by("tsit5")
+        return settings.replace(method="tsit5")
     own = float(stiffness(loop, x0, t1))
-    return settings.by(method_for(own, own if nominal is None else nominal))
+    return settings.replace(method=method_for(own, own if nominal is None else nominal))

@@ -82,14 +82,12 @@ class Ladder:
 
 def firmer(settings: SolverSettings) -> SolverSettings:
     """The same method at a hundredth of the tolerance."""
-    return SolverSettings(
-        settings.rtol / 100.0, settings.atol / 100.0, settings.max_steps, settings.method, settings.coordinates
-    )
+    return settings.replace(rtol=settings.rtol / 100.0, atol=settings.atol / 100.0)
 
 
 def stiff(settings: SolverSettings) -> SolverSettings:
     """The implicit method in the funnel coordinate, with ten times as many steps to spend."""
-    return SolverSettings(settings.rtol, settings.atol, 10 * settings.max_steps, "rodas5p", "funnel")
+    return settings.replace(max_steps=10 * settings.max_steps, method="rodas5p", coordinates="funnel")
 
 
 def is_doubtful(table: Runs) -> np.ndarray:

@@ -4,6 +4,7 @@ All take starts (runs, 2), amplitudes of the disturbance (runs,), the final half
 t = 20 s in physical coordinates.
 """
 
+import functools as ft
 import math
 import re
 import shutil
@@ -55,8 +56,10 @@ class math_as_numpy:  # noqa: N801  # stands in for a module
     sin, cos, exp, tan = math.sin, math.cos, math.exp, math.tan
 
 
-@jax.jit
-def _diffrax_batch(x0: jax.Array, amplitudes: jax.Array, rho_inf: float, tolerance: float) -> jax.Array:
+@ft.partial(jax.jit, static_argnums=0)
+def _diffrax_batch(
+    solver: Callable[[], dfx.AbstractSolver], x0: jax.Array, amplitudes: jax.Array, rho_inf: float, tolerance: float
+) -> jax.Array:
     def peak(start: jax.Array, amplitude: jax.Array) -> jax.Array:
         def field(t: Any, x: Any, _: Any) -> jax.Array:
             return jnp.stack(_motion(jnp, t, x[0], x[1], amplitude, rho_inf)[:2])
@@ -64,7 +67,7 @@ def _diffrax_batch(x0: jax.Array, amplitudes: jax.Array, rho_inf: float, toleran
         controller = dfx.PIDController(rtol=tolerance, atol=tolerance / 100)
         run = dfx.diffeqsolve(
             dfx.ODETerm(field),
-            dfx.Tsit5(),
+            solver(),
             0.0,
             HORIZON,
             0.01,
@@ -80,10 +83,14 @@ def _diffrax_batch(x0: jax.Array, amplitudes: jax.Array, rho_inf: float, toleran
     return jax.vmap(peak)(x0, amplitudes)
 
 
-def plain_diffrax(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
+def plain_diffrax(solver: Callable[[], dfx.AbstractSolver]) -> Callable[..., np.ndarray]:
     """`jit(vmap(diffeqsolve))` with a stacked state, the peak read off a grid of 2001 points."""
-    with jax.enable_x64(True):
-        return np.asarray(_diffrax_batch(x0, amplitudes, np.float64(rho_inf), np.float64(tolerance)))
+
+    def solve(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
+        with jax.enable_x64(True):
+            return np.asarray(_diffrax_batch(solver, x0, amplitudes, np.float64(rho_inf), np.float64(tolerance)))
+
+    return solve
 
 
 def numpy_rk4(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
@@ -106,7 +113,7 @@ def numpy_rk4(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance:
 def numba_tsit5() -> Callable[..., np.ndarray] | None:  # noqa: C901  # one loop, as its users write it
     """Adaptive Tsit5 run by run over all cores, the peak at the ends of steps; None without numba."""
     try:
-        import numba
+        import numba  # pyright: ignore[reportMissingImports]  # of the extra `bench`
     except ImportError:
         return None
     tableau = dfx.Tsit5.tableau

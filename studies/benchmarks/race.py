@@ -15,10 +15,16 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import contestants
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
 import qsmc_jax as qj
+from qsmc_jax.simulation import engine
+from qsmc_jax.study.draw import PointDraw
+from qsmc_jax.study.lanes import CPU_OPTIONS
 
 RHO_INF = (0.05, 0.005, 0.0005)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -28,7 +34,8 @@ WANTED = 1e-4
 
 def scenario(draw: Any) -> qj.Scenario:
     """Example 1 from random starts, under a sine of random amplitude."""
-    funnel = qj.Funnel(4.0, 3.0, draw.parameter("rho_inf", 0.05, bounds=(1e-5, 0.09)))
+    mu = draw.parameter("mu", 3.0, bounds=(0.5, 10.0))
+    funnel = qj.Funnel(4.0, mu, draw.parameter("rho_inf", 0.05, bounds=(1e-5, 0.09)))
     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), funnel)
     disturbance = qj.disturbances.Sine(draw.uniform("amplitude", -0.5, 0.5), 1.0)
     loop = qj.ClosedLoop(qj.plants.InvertedPendulum(), qj.references.SumOfSines([1.0], [1.0]), disturbance, control)
@@ -110,12 +117,12 @@ def _line(row: Row) -> str:
 
 
 def headline(runs: int, repeats: int) -> dict[str, float]:
-    """Runs a second of Example 1 at rtol 1e-6, turn by turn: ours, the plain diffrax program, and C++ if it compiles."""
+    """Runs a second of Example 1 at rtol 1e-6, turn by turn: ours, plain diffrax, and C++ if it compiles."""
     cpp, times = contestants.CompiledTsit5(), {"qsmc_jax": [], "plain vmapped diffrax": [], "C++, no supremum": []}
     drawn = qj.monte_carlo(STUDY, runs)
     x0, amplitudes = np.stack([drawn["x0[0]"], drawn["x0[1]"]], axis=1), drawn["amplitude"]
     for repeat in range(repeats + 1):  # the first compiles
-        for name, solve in (("qsmc_jax", ours()), ("plain vmapped diffrax", contestants.plain_diffrax)):
+        for name, solve in (("qsmc_jax", ours()), ("plain vmapped diffrax", contestants.plain_diffrax(dfx.Tsit5))):
             begin = time.perf_counter()
             solve(x0, amplitudes, 0.05, 1e-6)
             times[name] += [time.perf_counter() - begin] if repeat else []
@@ -128,15 +135,78 @@ def against_runs(counts: Sequence[int]) -> dict[int, float]:
     """Runs a second against the number of runs, after compilation."""
     speeds = {}
     for count in counts:
+        block = 1024 if count >= 2048 else 64
+        qj.monte_carlo(STUDY, 64, block=block)
         begin = time.perf_counter()
-        for _ in qj.stream(STUDY, range(count), block=1024 if count >= 2048 else 64):
+        for _ in qj.stream(STUDY, range(count), block=block):
             pass
         speeds[count] = count / (time.perf_counter() - begin)
     return speeds
 
 
-def against_order(orders: Sequence[int], runs: int) -> dict[int, float]:
-    """Runs a second against the order of the plant."""
+def heavy_tail(runs: int) -> dict[str, float]:
+    """Runs a second where rho_inf is log-uniform over 0.0005 ... 0.09: the method by stiffness, or explicit."""
+
+    def spread(draw: Any) -> qj.Scenario:
+        return scenario(Substituted(draw, rho_inf=draw.log_uniform("rho_inf", 0.0005, 0.09)))
+
+    study, speeds = qj.Study(spread, bandwidth=0.1), {}
+    for method in ("auto", "tsit5"):
+        settings = qj.SolverSettings(method=method)
+        qj.monte_carlo(study, 64, settings=settings)
+        begin = time.perf_counter()
+        qj.monte_carlo(study, runs, settings=settings)
+        speeds[method] = runs / (time.perf_counter() - begin)
+    return speeds
+
+
+class Substituted:
+    """Another draw with some of its parameters replaced by numbers that were drawn."""
+
+    def __init__(self, draw: Any, **numbers: Any):
+        """Takes the numbers by name."""
+        self._draw, self._numbers = draw, numbers
+
+    def parameter(self, name: str, default: float, *, bounds: tuple[float, float]) -> Any:
+        """The number, if there is one."""
+        return self._numbers[name] if name in self._numbers else self._draw.parameter(name, default, bounds=bounds)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._draw, name)
+
+
+def gradient_cost(runs: int, repeats: int) -> dict[str, float]:
+    """Time of a batch mean and its gradient by mu and rho_inf, forward, over that of the mean alone; rtol 1e-6."""
+    gains, rtol = {"mu": np.float64(3.0), "rho_inf": np.float64(0.05)}, np.float64(1e-6)
+    points = np.random.default_rng(0).uniform(size=(runs, STUDY.dimension))
+
+    def mean(gains: Any, rtol: Any) -> Any:
+        def rms_error(point: Any) -> Any:
+            settings = qj.SolverSettings(rtol, method="tsit5", adjoint="forward")
+            made = scenario(PointDraw(point, gains))
+            figures, _ = engine.solve(engine.pose(made.loop, 0.1, settings), tuple(made.x0), made.t1, settings)
+            return figures.rms_error + figures.peak_ratio
+
+        return jnp.mean(jax.vmap(rms_error)(points))
+
+    def gradient(gains: Any, rtol: Any) -> Any:
+        along = {name: jnp.asarray([float(name == other) for other in gains]) for name in gains}
+        return jax.vmap(lambda d: jax.jvp(lambda g: mean(g, rtol), (gains,), (d,))[1])(along)
+
+    times: list[list[float]] = [[], []]
+    with jax.enable_x64(True):
+        programs = [jax.jit(f).lower(gains, rtol).compile(compiler_options=CPU_OPTIONS) for f in (mean, gradient)]
+        for _ in range(repeats):
+            for program, taken in zip(programs, times, strict=True):
+                begin = time.perf_counter()
+                jax.block_until_ready(program(gains, rtol))
+                taken.append(time.perf_counter() - begin)
+    primal, both = (float(np.median(each)) for each in times)
+    return {"mean [s]": primal, "gradient [s]": both, "ratio": both / primal}
+
+
+def against_order(orders: Sequence[int], runs: int) -> dict[int, dict[str, float]]:
+    """Runs a second, and steps a run, against the order of the plant."""
     speeds = {}
     for order in orders:
         plant, surface = chain(order), qj.SlidingSurface.binomial(2.0, order)
@@ -149,8 +219,8 @@ def against_order(orders: Sequence[int], runs: int) -> dict[int, float]:
         study = qj.Study(of_order, bandwidth=0.1)
         qj.monte_carlo(study, 64, block=512)
         begin = time.perf_counter()
-        qj.monte_carlo(study, runs, seed=1, block=512)
-        speeds[order] = runs / (time.perf_counter() - begin)
+        steps = qj.monte_carlo(study, runs, seed=1, block=512)["steps"]
+        speeds[order] = {"runs/s": runs / (time.perf_counter() - begin), "steps": float(np.mean(steps))}
     return speeds
 
 
@@ -195,7 +265,8 @@ def main() -> None:
     many, few, tiny = (2048, 256, 4) if options.quick else (8192, 256, 4)
     rivals = {
         "qsmc_jax": (ours(), many),
-        "plain vmapped diffrax": (contestants.plain_diffrax, few),
+        "plain vmapped diffrax": (contestants.plain_diffrax(dfx.Tsit5), few),
+        "the same with Kvaerno5": (contestants.plain_diffrax(dfx.Kvaerno5), 64),
         "NumPy RK4, fixed steps": (contestants.numpy_rk4, few),
         "SciPy LSODA": (contestants.scipy_loop("LSODA"), tiny),
         "SciPy RK45": (contestants.scipy_loop("RK45"), tiny),
@@ -209,6 +280,8 @@ def main() -> None:
     print(f"\nFastest with peaks within {WANTED:g}:", *map(_line, best), sep="\n")
     extra = {
         "headline": headline(many, 1 if options.quick else 5),
+        "gradient": gradient_cost(512, 1 if options.quick else 5),
+        "heavy tail": heavy_tail(many),
         "runs": against_runs((100, 1000, 10_000) if options.quick else (100, 1000, 10_000, 100_000, 1_000_000)),
         "order": against_order((1, 2, 4) if options.quick else range(1, 9), few),
     }

@@ -1,0 +1,75 @@
+"""Windows of runs, and in each the pieces to be solved together: of one method, and of like cost."""
+
+import collections
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from qsmc_jax.simulation.stiffness import method_for
+from qsmc_jax.study.lanes import Lanes
+from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.sampling import AbstractSampling
+from qsmc_jax.study.schedule import Schedule
+
+# Blocks in a window: within one, runs are solved in the order of what they are expected to cost. The first is small.
+FIRST_WINDOW, WINDOW = 4, 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Piece:
+    """Runs to be solved together: their rows in the window, their indices, points and method."""
+
+    rows: np.ndarray
+    indices: np.ndarray
+    points: Float[np.ndarray, "runs dim"]
+    method: str
+    ends_window: bool
+
+
+class Planner:
+    """Cuts the runs into windows, and each window into pieces of equal method and like cost."""
+
+    def __init__(self, lanes: Lanes, seed: int, sampling: AbstractSampling):
+        self._lanes, self._seed, self._sampling = lanes, seed, sampling
+        self._schedules = collections.defaultdict(lambda: Schedule(lanes.study.dimension))
+
+    def learn(self, piece: Piece, steps: np.ndarray) -> None:
+        """Takes in what a piece cost."""
+        self._schedules[piece.method].learn(piece.points, steps)
+
+    def pieces(self, indices: Sequence[int] | np.ndarray) -> Iterator[Piece]:
+        """All pieces, in the order of their windows. A small window comes first, to learn from."""
+        start, size = 0, FIRST_WINDOW * self._lanes.count
+        while start < len(indices):
+            yield from self._window(np.asarray(indices[start : start + size], dtype=np.int64))
+            start, size = start + size, WINDOW * self._lanes.count
+
+    def _window(self, indices: np.ndarray) -> Iterator[Piece]:
+        block, dim = self._lanes.count, self._lanes.study.dimension
+        chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
+        chunked = [self._sampling.points(self._seed, chunk, dim) for chunk in chunks]
+        points, (methods, stiffness) = np.concatenate(chunked), self._methods(chunked)
+        parts = []
+        for method in map(str, np.unique(methods)):
+            rows = np.flatnonzero(methods == method)
+            rows = rows[self._schedules[method].order(points[rows], stiffness[rows])]
+            parts += [(method, rows[i : i + block]) for i in range(0, len(rows), block)]
+        for number, (method, rows) in enumerate(parts):
+            self._lanes.compile(method)
+            yield Piece(rows, indices[rows], points[rows], method, number == len(parts) - 1)
+
+    def _methods(self, chunked: list[Float[np.ndarray, "_ dim"]]) -> tuple[np.ndarray, np.ndarray]:
+        """The method for each run, and how stiff it will be if that has a say."""
+        runs, asked_for = sum(map(len, chunked)), self._lanes.settings.method
+        if asked_for != "auto":
+            return np.full(runs, asked_for), np.zeros(runs)
+        stiffness = np.concatenate([self._lanes.stiffness(points) for points in chunked])
+        nominal = self._lanes.study.stiffness
+        return np.array([method_for(each, nominal) for each in stiffness]), stiffness
+
+
+def reassembled(solved: list[tuple[np.ndarray, Runs]]) -> Runs:
+    """The rows of a window in order."""
+    return concatenate([table for _, table in solved]).take(np.argsort(np.concatenate([rows for rows, _ in solved])))
