@@ -2,12 +2,16 @@
 
 import functools as ft
 import math
+from typing import ClassVar
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array, Float
 
 import problems
 import qsmc_jax as qj
+from qsmc_jax.base.module import float_field
 
 # One compiled program each.
 ROUTES = {
@@ -122,6 +126,50 @@ def test_right_sign_leaves_every_lane_held():
     runs = solve_lanes({}, sign=1.0)
     assert runs.counts()[qj.Verdict.HELD] == len(runs)
     np.testing.assert_allclose(runs["peak_ratio"], runs["z0"], rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["tsit5", "rodas4", "rodas5p"])
+@pytest.mark.parametrize("gain", [200.0, 2e4])
+def test_growth_from_rest_is_not_damped_away(method, gain):
+    """g = b cos t, tiny d, stiff: at rest until g turns at pi / 2, and out of the funnel soon after, d growing like
+    exp(k (t - pi/2)^2 / 2), k = pi b / (2 rho): within sqrt(2 ln(rho k / d) / k) and half as much again."""
+    level = 1e-3
+    loop = problems.scalar_loop(problems.STILL, gain_scale=gain, gain_frequency=1.0, level=level)
+    settings = qj.SolverSettings(method=method)
+    run = qj.simulate(loop, (0.5,), 5.0, bandwidth=problems.STILL_BANDWIDTH, settings=settings)
+    k = math.pi * gain / (2 * problems.WIDTH)
+    assert run.verdict == qj.Verdict.VIOLATED
+    late = math.sqrt(2 * math.log(problems.WIDTH * k / level) / k)
+    assert math.pi / 2 < float(run.figures.violation_time) < math.pi / 2 + 1.5 * late
+
+
+class Dipping(qj.AbstractPlant):
+    """x' = g u + d with g = b (1 - 3 exp(-((t - 3) / width)^2)): negative within 1.05 widths of t = 3."""
+
+    width: Float[Array, ""] = float_field()
+    strength: Float[Array, ""] = float_field()
+    order: ClassVar[int] = 1
+
+    def drift(self, t, x):
+        return 0.0 * x[0]
+
+    def gain(self, t, x):
+        return self.strength * (1.0 - 3.0 * jnp.exp(-(((t - 3.0) / self.width) ** 2)))
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-6])
+@pytest.mark.parametrize("width", [0.3, 0.1, 0.03])
+def test_no_short_loss_of_the_gains_sign_is_stepped_over(width, rtol):
+    """At rest in a stiff loop an implicit method would take steps longer than the dip, and damp what grows in it.
+
+    In the dip sigma grows at some 2e5 a second: it can only leave, and does so soon after the gain turns.
+    """
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.1))
+    loop = qj.ClosedLoop(Dipping(width, 2e4), qj.references.Constant(0.0), qj.disturbances.Sine(0.1, 0.3), control)
+    run = qj.simulate(loop, [0.05], 20.0, bandwidth=0.2, settings=qj.SolverSettings(rtol=rtol, method="rodas5p"))
+    turn = 3.0 - width * math.sqrt(math.log(3.0))
+    assert run.verdict == qj.Verdict.VIOLATED
+    assert turn < float(run.figures.violation_time) < turn + 0.1 * width
 
 
 def test_start_outside_is_inadmissible_and_takes_no_step():

@@ -14,6 +14,8 @@ from qsmc_jax.simulation.guarded_solver import Run
 # The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends
 # there.
 _LEAST_STEP = 1e-15
+# The longest step, relative to the horizon: at rest nothing else keeps a step from passing over what is short and rare.
+_LONGEST_STEP = 0.005
 # The first step, relative to the horizon: small, so that no start is too stiff for it. It grows tenfold with every step
 # kept.
 _FIRST_STEP = 1e-6
@@ -31,6 +33,7 @@ def controller(break_times: Float[Array, " breaks"], horizon: RealScalarLike) ->
         icoeff=1.0,
         error_order=1.0,
         dtmin=_LEAST_STEP * horizon,
+        dtmax=_LONGEST_STEP * horizon,
         force_dtmin=False,
     )
     breaks, first = jnp.sort(jnp.asarray(break_times)), _FIRST_STEP * horizon
