@@ -1,6 +1,6 @@
-"""Example 1 of the paper as its users would write it elsewhere: each returns sup |sigma|/rho of each run as it sees it.
+"""The paper's examples as users would write them elsewhere: each returns sup |sigma|/rho of each run as it sees it.
 
-All take starts (runs, 2), amplitudes of the disturbance (runs,), the final half-width and a tolerance, and solve to
+All take starts (runs, n), amplitudes of the disturbance (runs,), the final half-width and a tolerance, and solve to
 t = 20 s in physical coordinates.
 """
 
@@ -25,25 +25,42 @@ GRID = np.linspace(0.0, HORIZON, 2001)
 GAIN = 1.0 / (0.01 * 9.8**2)
 
 
-def _motion(xp: Any, t: Any, x1: Any, x2: Any, amplitude: Any, rho_inf: Any) -> tuple[Any, Any, Any]:
+Motion = Callable[..., tuple[Any, ...]]
+
+
+def example1(xp: Any, t: Any, x: Any, amplitude: Any, rho_inf: Any) -> tuple[Any, ...]:
     """The derivatives of both states, and sigma / rho."""
+    x1, x2 = x
     ratio = (2.0 * (x1 - xp.sin(t)) + x2 - xp.cos(t)) / (4.0 * xp.exp(-3.0 * t) + rho_inf)
     u = -xp.tan(0.5 * math.pi * ratio)
     return x2, -xp.sin(x1) - x2 + xp.sin(x2) + GAIN * u + amplitude * xp.sin(t), ratio
 
 
-def scipy_loop(method: str) -> Callable[..., np.ndarray]:
+def example2(xp: Any, t: Any, x: Any, amplitude: Any, rho_inf: Any) -> tuple[Any, ...]:
+    """The derivatives of the four states, and sigma / rho; the disturbance of the paper times the amplitude."""
+    x1, x2, x3, x4 = x
+    sin, cos, slow_sin, slow_cos = xp.sin(t), xp.cos(t), xp.sin(0.5 * t), xp.cos(0.5 * t)
+    errors = x1 - sin - slow_cos, x2 - cos + 0.5 * slow_sin, x3 + sin + 0.25 * slow_cos, x4 + cos - 0.125 * slow_sin
+    sigma = 6.0 * errors[0] + 12.0 * errors[1] + 8.0 * errors[2] + errors[3]
+    ratio = sigma / (5.0 * xp.exp(-3.0 * t) + rho_inf)
+    late = xp.where(t < 9.0, xp.sin(math.pi * t), xp.cos(math.pi * t) - 1.0)
+    d = amplitude * xp.where(t < 6.0, 0.5 * xp.sin(0.5 * math.pi * t), late)
+    u = -xp.tan(0.5 * math.pi * ratio)
+    return x2, x3, x4, x3 * xp.sin(2.0 * x2) + x1 * xp.cos(x4) + (2.0 - xp.sin(x4)) * u + d, ratio
+
+
+def scipy_loop(motion: Motion, method: str) -> Callable[..., np.ndarray]:
     """`solve_ivp` run by run, the peak read off a grid of 2001 points."""
 
     def solve(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
         def peak(start: np.ndarray, amplitude: float) -> float:
             def field(t: float, x: np.ndarray) -> list[float]:
-                return list(_motion(math_as_numpy, t, x[0], x[1], amplitude, rho_inf)[:2])
+                return list(motion(math_as_numpy, t, x, amplitude, rho_inf)[:-1])
 
             run = scipy.integrate.solve_ivp(
                 field, (0.0, HORIZON), start, method, t_eval=GRID, rtol=tolerance, atol=tolerance / 100
             )
-            return float(np.max(np.abs(_motion(np, run.t, run.y[0], run.y[1], amplitude, rho_inf)[2])))
+            return float(np.max(np.abs(motion(np, run.t, run.y, amplitude, rho_inf)[-1])))
 
         return np.array([peak(start, amplitude) for start, amplitude in zip(x0, amplitudes, strict=True)])
 
@@ -55,14 +72,24 @@ class math_as_numpy:  # noqa: N801  # stands in for a module
 
     sin, cos, exp, tan = math.sin, math.cos, math.exp, math.tan
 
+    @staticmethod
+    def where(condition: bool, a: float, b: float) -> float:
+        """The one or the other."""
+        return a if condition else b
 
-@ft.partial(jax.jit, static_argnums=0)
+
+@ft.partial(jax.jit, static_argnums=(0, 1))
 def _diffrax_batch(
-    solver: Callable[[], dfx.AbstractSolver], x0: jax.Array, amplitudes: jax.Array, rho_inf: float, tolerance: float
+    motion: Motion,
+    solver: Callable[[], dfx.AbstractSolver],
+    x0: jax.Array,
+    amplitudes: jax.Array,
+    rho_inf: float,
+    tolerance: float,
 ) -> jax.Array:
     def peak(start: jax.Array, amplitude: jax.Array) -> jax.Array:
         def field(t: Any, x: Any, _: Any) -> jax.Array:
-            return jnp.stack(_motion(jnp, t, x[0], x[1], amplitude, rho_inf)[:2])
+            return jnp.stack(motion(jnp, t, x, amplitude, rho_inf)[:-1])
 
         controller = dfx.PIDController(rtol=tolerance, atol=tolerance / 100)
         run = dfx.diffeqsolve(
@@ -77,41 +104,49 @@ def _diffrax_batch(
             max_steps=100_000,
             throw=False,
         )
-        x1, x2 = jnp.asarray(run.ys).T
-        return jnp.max(jnp.abs(_motion(jnp, jnp.asarray(GRID), x1, x2, amplitude, rho_inf)[2]))
+        return jnp.max(jnp.abs(motion(jnp, jnp.asarray(GRID), jnp.asarray(run.ys).T, amplitude, rho_inf)[-1]))
 
     return jax.vmap(peak)(x0, amplitudes)
 
 
-def plain_diffrax(solver: Callable[[], dfx.AbstractSolver]) -> Callable[..., np.ndarray]:
+def plain_diffrax(motion: Motion, solver: Callable[[], dfx.AbstractSolver]) -> Callable[..., np.ndarray]:
     """`jit(vmap(diffeqsolve))` with a stacked state, the peak read off a grid of 2001 points."""
 
     def solve(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
         with jax.enable_x64(True):
-            return np.asarray(_diffrax_batch(solver, x0, amplitudes, np.float64(rho_inf), np.float64(tolerance)))
+            return np.asarray(
+                _diffrax_batch(motion, solver, x0, amplitudes, np.float64(rho_inf), np.float64(tolerance))
+            )
 
     return solve
 
 
-def numpy_rk4(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
+def numpy_rk4(motion: Motion) -> Callable[..., np.ndarray]:
     """All runs as NumPy arrays, fixed steps of RK4 as long as the tolerance's fourth root allows, the peak at steps."""
-    x1, x2 = x0.T.copy()
-    steps = math.ceil(HORIZON / (0.1 * tolerance**0.25))
-    h, peak = HORIZON / steps, np.zeros(len(x0))
-    with np.errstate(all="ignore"):
-        for i in range(steps):
-            t = i * h
-            a1, b1, ratio = _motion(np, t, x1, x2, amplitudes, rho_inf)
-            a2, b2, _ = _motion(np, t + h / 2, x1 + h / 2 * a1, x2 + h / 2 * b1, amplitudes, rho_inf)
-            a3, b3, _ = _motion(np, t + h / 2, x1 + h / 2 * a2, x2 + h / 2 * b2, amplitudes, rho_inf)
-            a4, b4, _ = _motion(np, t + h, x1 + h * a3, x2 + h * b3, amplitudes, rho_inf)
-            peak = np.maximum(peak, np.abs(ratio))
-            x1, x2 = x1 + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4), x2 + h / 6 * (b1 + 2 * b2 + 2 * b3 + b4)
-    return peak
+
+    def solve(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
+        def field(t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            *rates, ratio = motion(np, t, x, amplitudes, rho_inf)
+            return np.stack(rates), ratio
+
+        x, steps = x0.T.copy(), math.ceil(HORIZON / (0.1 * tolerance**0.25))
+        h, peak = HORIZON / steps, np.zeros(len(x0))
+        with np.errstate(all="ignore"):
+            for i in range(steps):
+                t = i * h
+                k1, ratio = field(t, x)
+                k2, _ = field(t + h / 2, x + h / 2 * k1)
+                k3, _ = field(t + h / 2, x + h / 2 * k2)
+                k4, _ = field(t + h, x + h * k3)
+                peak = np.maximum(peak, np.abs(ratio))
+                x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return peak
+
+    return solve
 
 
 def numba_tsit5() -> Callable[..., np.ndarray] | None:  # noqa: C901  # one loop, as its users write it
-    """Adaptive Tsit5 run by run over all cores, the peak at the ends of steps; None without numba."""
+    """Example 1 by adaptive Tsit5, run by run over all cores, the peak at the ends of steps; None without numba."""
     try:
         import numba  # pyright: ignore[reportMissingImports]  # of the extra `bench`
     except ImportError:
@@ -165,7 +200,7 @@ def numba_tsit5() -> Callable[..., np.ndarray] | None:  # noqa: C901  # one loop
 
 
 class CompiledTsit5:
-    """Hand-written C++ (tsit5.cpp): runs in vector registers, no supremum; for speed alone."""
+    """Example 1 in hand-written C++ (tsit5.cpp): runs in vector registers, no supremum; for speed alone."""
 
     def __init__(self):
         """Compiles, if there is a compiler."""

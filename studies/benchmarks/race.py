@@ -32,7 +32,7 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 WANTED = 1e-4
 
 
-def scenario(draw: Any) -> qj.Scenario:
+def example1(draw: Any) -> qj.Scenario:
     """Example 1 from random starts, under a sine of random amplitude."""
     mu = draw.parameter("mu", 3.0, bounds=(0.5, 10.0))
     funnel = qj.Funnel(4.0, mu, draw.parameter("rho_inf", 0.05, bounds=(1e-5, 0.09)))
@@ -42,7 +42,18 @@ def scenario(draw: Any) -> qj.Scenario:
     return qj.Scenario(loop, draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=contestants.HORIZON)
 
 
-STUDY = qj.Study(scenario, bandwidth=0.1)
+def example2(draw: Any) -> qj.Scenario:
+    """Example 2 from random starts, under the paper's disturbance with a random factor."""
+    paper = qj.paper.example2()
+    funnel = qj.Funnel(5.0, 3.0, draw.parameter("rho_inf", 0.05, bounds=(1e-5, 0.09)))
+    control = qj.QuasiSlidingControl(paper.control.surface, funnel)
+    disturbance = draw.uniform("amplitude", 0.5, 1.0) * paper.disturbance
+    loop = qj.ClosedLoop(paper.plant, paper.reference, disturbance, control)
+    return qj.Scenario(loop, draw.uniform("x0", 0.5, 0.7, shape=(4,)), t1=contestants.HORIZON)
+
+
+EXAMPLES = {1: (example1, contestants.example1), 2: (example2, contestants.example2)}
+STUDY = qj.Study(example1, bandwidth=0.1)
 
 
 def chain(n: int) -> qj.AbstractPlant:
@@ -60,12 +71,12 @@ def chain(n: int) -> qj.AbstractPlant:
     return Chain()
 
 
-def ours(method: str = "auto", block: int = 1024) -> Callable[..., np.ndarray]:
+def ours(example: Callable[..., Any], method: str = "auto", block: int = 1024) -> Callable[..., np.ndarray]:
     """This library, in the terms of the contestants: it draws their starts and amplitudes itself, from seed 0."""
 
     def solve(x0: np.ndarray, amplitudes: np.ndarray, rho_inf: float, tolerance: float) -> np.ndarray:
         settings = qj.SolverSettings(rtol=tolerance, method=method, max_steps=1_000_000)
-        study = qj.Study(scenario, bandwidth=2 * rho_inf, values={"rho_inf": rho_inf})
+        study = qj.Study(example, bandwidth=2 * rho_inf, values={"rho_inf": rho_inf})
         return qj.monte_carlo(study, len(x0), settings=settings, block=min(block, -(-len(x0) // 64) * 64))["peak_ratio"]
 
     return solve
@@ -75,6 +86,7 @@ def ours(method: str = "auto", block: int = 1024) -> Callable[..., np.ndarray]:
 class Row:
     """One contestant at one tolerance."""
 
+    example: int
     rho_inf: float
     name: str
     tolerance: float
@@ -85,14 +97,14 @@ class Row:
 
 
 def race(
-    rivals: dict[str, tuple[Callable[..., np.ndarray], int]], tolerances: Sequence[float], repeats: int
+    number: int, rivals: dict[str, tuple[Callable[..., np.ndarray], int]], tolerances: Sequence[float], repeats: int
 ) -> list[Row]:
     """All contestants, interleaved, on the same runs; medians of the repeats."""
     rows = []
-    drawn = qj.monte_carlo(STUDY, max(count for _, count in rivals.values()))
-    x0, amplitudes = np.stack([drawn["x0[0]"], drawn["x0[1]"]], axis=1), drawn["amplitude"]
+    example, most = EXAMPLES[number][0], max(count for _, count in rivals.values())
+    x0, amplitudes = starts(qj.Study(example, bandwidth=0.1), most)
     for rho_inf in RHO_INF:
-        truth = ours("rodas5p")(x0, amplitudes, rho_inf, 1e-11)
+        truth = ours(example, "rodas5p")(x0, amplitudes, rho_inf, 1e-11)
         for tolerance in tolerances:
             times: dict[str, list[float]] = {name: [] for name in rivals}
             peaks = {}
@@ -104,14 +116,22 @@ def race(
             for name, (_, count) in rivals.items():
                 error = float(np.max(np.abs(peaks[name] - truth[:count])))
                 false = int(np.sum(~(peaks[name] < 1.0)))
-                rows.append(Row(rho_inf, name, tolerance, count, count / float(np.median(times[name])), error, false))
+                rows.append(
+                    Row(number, rho_inf, name, tolerance, count, count / float(np.median(times[name])), error, false)
+                )
                 print(_line(rows[-1]), flush=True)
     return rows
 
 
+def starts(study: qj.Study, runs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and amplitudes of the first runs of a study."""
+    drawn = qj.monte_carlo(study, runs)
+    return np.stack([drawn[name] for name in drawn.names if name.startswith("x0")], axis=1), drawn["amplitude"]
+
+
 def _line(row: Row) -> str:
     return (
-        f"{row.rho_inf:<8g}{row.name:28}{row.tolerance:<9.0e}{row.runs:6d}{row.runs_per_second:12.0f}"
+        f"{row.example:<4d}{row.rho_inf:<8g}{row.name:28}{row.tolerance:<9.0e}{row.runs:6d}{row.runs_per_second:12.0f}"
         f"{row.peak_error:12.1e}{row.false_violations:8d}"
     )
 
@@ -119,10 +139,10 @@ def _line(row: Row) -> str:
 def headline(runs: int, repeats: int) -> dict[str, float]:
     """Runs a second of Example 1 at rtol 1e-6, turn by turn: ours, plain diffrax, and C++ if it compiles."""
     cpp, times = contestants.CompiledTsit5(), {"qsmc_jax": [], "plain vmapped diffrax": [], "C++, no supremum": []}
-    drawn = qj.monte_carlo(STUDY, runs)
-    x0, amplitudes = np.stack([drawn["x0[0]"], drawn["x0[1]"]], axis=1), drawn["amplitude"]
+    x0, amplitudes = starts(STUDY, runs)
+    plain = contestants.plain_diffrax(contestants.example1, dfx.Tsit5)
     for repeat in range(repeats + 1):  # the first compiles
-        for name, solve in (("qsmc_jax", ours()), ("plain vmapped diffrax", contestants.plain_diffrax(dfx.Tsit5))):
+        for name, solve in (("qsmc_jax", ours(example1)), ("plain vmapped diffrax", plain)):
             begin = time.perf_counter()
             solve(x0, amplitudes, 0.05, 1e-6)
             times[name] += [time.perf_counter() - begin] if repeat else []
@@ -148,7 +168,7 @@ def heavy_tail(runs: int) -> dict[str, float]:
     """Runs a second where rho_inf is log-uniform over 0.0005 ... 0.09: the method by stiffness, or explicit."""
 
     def spread(draw: Any) -> qj.Scenario:
-        return scenario(Substituted(draw, rho_inf=draw.log_uniform("rho_inf", 0.0005, 0.09)))
+        return example1(Substituted(draw, rho_inf=draw.log_uniform("rho_inf", 0.0005, 0.09)))
 
     study, speeds = qj.Study(spread, bandwidth=0.1), {}
     for method in ("auto", "tsit5"):
@@ -183,7 +203,7 @@ def gradient_cost(runs: int, repeats: int) -> dict[str, float]:
     def mean(gains: Any, rtol: Any) -> Any:
         def rms_error(point: Any) -> Any:
             settings = qj.SolverSettings(rtol, method="tsit5", adjoint="forward")
-            made = scenario(PointDraw(point, gains))
+            made = example1(PointDraw(point, gains))
             figures, _ = engine.solve(engine.pose(made.loop, 0.1, settings), tuple(made.x0), made.t1, settings)
             return figures.rms_error + figures.peak_ratio
 
@@ -226,34 +246,48 @@ def against_order(orders: Sequence[int], runs: int) -> dict[int, dict[str, float
 
 def fastest_at(rows: list[Row], wanted: float) -> list[Row]:
     """Per funnel and contestant the fastest row whose peaks are that accurate."""
-    best: dict[tuple[float, str], Row] = {}
+    best: dict[tuple[int, float, str], Row] = {}
     for row in rows:
-        key = row.rho_inf, row.name
+        key = row.example, row.rho_inf, row.name
         if row.peak_error <= wanted and (key not in best or row.runs_per_second > best[key].runs_per_second):
             best[key] = row
     return list(best.values())
 
 
 def plot(rows: list[Row]) -> Any:
-    """Work against precision, a panel a funnel."""
-    names = list(dict.fromkeys(row.name for row in rows))
-    figure, axes = plt.subplots(1, len(RHO_INF), figsize=(13, 4.4), sharex=True, sharey=True, layout="constrained")
-    for ax, rho_inf in zip(axes, RHO_INF, strict=True):
-        for name, marker in zip(names, "osD^vPX*", strict=False):
-            mine = [row for row in rows if row.name == name and row.rho_inf == rho_inf]
-            error = [max(row.peak_error, 1e-9) for row in mine]
-            ax.plot(error, [1e6 / row.runs_per_second for row in mine], marker=marker, label=name)
-        ax.axvline(WANTED, color="0.6", linestyle=":")
-        ax.set(
-            xscale="log",
-            yscale="log",
-            title=rf"$\rho_\infty$ = {rho_inf:g}",
-            xlabel=r"largest error of sup$|\sigma|/\rho$ [-]",
-        )
-        ax.grid(alpha=0.3)
-    axes[0].set_ylabel("time a run [µs]")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names))
+    """Work against precision, a row an example, a panel a funnel."""
+    names, numbers = (list(dict.fromkeys(getattr(row, field) for row in rows)) for field in ("name", "example"))
+    size = {"figsize": (13, 1 + 3.6 * len(numbers)), "layout": "constrained"}
+    figure, axes = plt.subplots(len(numbers), len(RHO_INF), sharex=True, sharey=True, squeeze=False, **size)
+    for panels, number in zip(axes, numbers, strict=True):
+        for ax, rho_inf in zip(panels, RHO_INF, strict=True):
+            for name, marker in zip(names, "osD^vPX*", strict=False):
+                mine = [row for row in rows if (row.name, row.rho_inf, row.example) == (name, rho_inf, number)]
+                error = [max(row.peak_error, 1e-9) for row in mine]
+                ax.plot(error, [1e6 / row.runs_per_second for row in mine], marker=marker, label=name)
+            ax.axvline(WANTED, color="0.6", linestyle=":")
+            ax.set(xscale="log", yscale="log", title=rf"Example {number}, $\rho_\infty$ = {rho_inf:g}")
+            ax.grid(alpha=0.3)
+        panels[0].set_ylabel("time a run [µs]")
+    for ax in axes[-1]:
+        ax.set_xlabel(r"largest error of sup$|\sigma|/\rho$ [-]")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
+
+
+def contest(number: int, many: int, few: int, tiny: int) -> dict[str, tuple[Callable[..., np.ndarray], int]]:
+    """Who takes part in an example, and with how many runs."""
+    example, motion = EXAMPLES[number]
+    rivals = {
+        "qsmc_jax": (ours(example), many),
+        "plain vmapped diffrax": (contestants.plain_diffrax(motion, dfx.Tsit5), few),
+        "the same with Kvaerno5": (contestants.plain_diffrax(motion, dfx.Kvaerno5), min(few, 64)),
+        "NumPy RK4, fixed steps": (contestants.numpy_rk4(motion), few),
+        "SciPy LSODA": (contestants.scipy_loop(motion, "LSODA"), tiny),
+        "SciPy RK45": (contestants.scipy_loop(motion, "RK45"), tiny),
+    }
+    numba_solve = contestants.numba_tsit5() if number == 1 else None
+    return {**rivals, **({"numba Tsit5, parallel": (numba_solve, few)} if numba_solve else {})}
 
 
 def main() -> None:
@@ -261,26 +295,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for race.json and race.png")
     parser.add_argument("--quick", action="store_true", help="fewer repeats, tolerances and runs")
+    parser.add_argument("--example", type=int, choices=EXAMPLES, action="append", help="only this example")
     options = parser.parse_args()
-    many, few, tiny = (2048, 256, 4) if options.quick else (8192, 256, 4)
-    rivals = {
-        "qsmc_jax": (ours(), many),
-        "plain vmapped diffrax": (contestants.plain_diffrax(dfx.Tsit5), few),
-        "the same with Kvaerno5": (contestants.plain_diffrax(dfx.Kvaerno5), 64),
-        "NumPy RK4, fixed steps": (contestants.numpy_rk4, few),
-        "SciPy LSODA": (contestants.scipy_loop("LSODA"), tiny),
-        "SciPy RK45": (contestants.scipy_loop("RK45"), tiny),
-    }
-    numba_solve = contestants.numba_tsit5()
-    if numba_solve:
-        rivals["numba Tsit5, parallel"] = (numba_solve, few)
-    print(f"{'rho_inf':8}{'contestant':28}{'rtol':9}{'runs':>6}{'runs/s':>12}{'peak error':>12}{'false':>8}")
-    rows = race(rivals, TOLERANCES[1::2] if options.quick else TOLERANCES, 1 if options.quick else 5)
-    best = fastest_at(rows, WANTED)
-    print(f"\nFastest with peaks within {WANTED:g}:", *map(_line, best), sep="\n")
+    many, few, tiny, repeats = (2048, 256, 4, 1) if options.quick else (8192, 256, 4, 5)
+    tolerances = TOLERANCES[1::2] if options.quick else TOLERANCES
+    print(f"{'ex':4}{'rho_inf':8}{'contestant':28}{'rtol':9}{'runs':>6}{'runs/s':>12}{'peak error':>12}{'false':>8}")
+    rows = []
+    for number in options.example or EXAMPLES:
+        rows += race(number, contest(number, many, few, tiny), tolerances, repeats)
+    print(f"\nFastest with peaks within {WANTED:g}:", *map(_line, fastest_at(rows, WANTED)), sep="\n")
     extra = {
-        "headline": headline(many, 1 if options.quick else 5),
-        "gradient": gradient_cost(512, 1 if options.quick else 5),
+        "headline": headline(many, repeats),
+        "gradient": gradient_cost(512, repeats),
         "heavy tail": heavy_tail(many),
         "runs": against_runs((100, 1000, 10_000) if options.quick else (100, 1000, 10_000, 100_000, 1_000_000)),
         "order": against_order((1, 2, 4) if options.quick else range(1, 9), few),
