@@ -1,6 +1,7 @@
 """The command line: exit codes, files, and errors in one sentence. Each error is tried as a user would make it."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -19,8 +20,8 @@ SMALL = ["--runs", "64", "--block", "64"]
 
 
 def qsmc(*arguments):
-    """Runs the command in this process."""
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+    """Runs the command in this process, without touching the user's cache folder."""
+    return CliRunner().invoke(app, [*map(str, arguments), "--no-cache"])
 
 
 def test_verify_writes_rows_verdict_and_picture(tmp_path):
@@ -84,6 +85,16 @@ def test_help_is_quick():
     assert "verify" in done.stdout
     assert "jax" not in _modules_after("import qsmc_jax.cli.main")
     assert time.perf_counter() - begin < 30
+
+
+@pytest.mark.parametrize(("option", "is_kept"), [("--cache", True), ("--no-cache", False)])
+def test_compiled_programs_are_kept_only_if_wanted(tmp_path, option, is_kept):
+    program = (
+        f"from qsmc_jax.cli.main import app; app(['verify', {STUDY!r}, '--runs', '64', '--block', '64', '{option}'])"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True, capture_output=True)
+    assert any(tmp_path.rglob("jit_*-cache")) == is_kept
 
 
 def _modules_after(statement):

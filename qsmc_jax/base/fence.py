@@ -9,7 +9,7 @@ from qsmc_jax.base.types import RealScalarLike
 
 
 class Fence(AbstractModule):
-    """Divides by one. XLA for CPUs fuses cheap arithmetic into each of its users, and so repeats it; not a quotient.
+    """Divides by one. In a loop, XLA for CPUs repeats cheap arithmetic for each number kept, but not a quotient.
 
     The compiler must not know that it is one. Without fences a step of a solver takes twice as long.
 

@@ -281,13 +281,15 @@ def contest(number: int, many: int, few: int, tiny: int) -> dict[str, tuple[Call
     rivals = {
         "qsmc_jax": (ours(example), many),
         "plain vmapped diffrax": (contestants.plain_diffrax(motion, dfx.Tsit5), few),
-        "the same with Kvaerno5": (contestants.plain_diffrax(motion, dfx.Kvaerno5), min(few, 64)),
         "NumPy RK4, fixed steps": (contestants.numpy_rk4(motion), few),
         "SciPy LSODA": (contestants.scipy_loop(motion, "LSODA"), tiny),
         "SciPy RK45": (contestants.scipy_loop(motion, "RK45"), tiny),
     }
-    numba_solve = contestants.numba_tsit5() if number == 1 else None
-    return {**rivals, **({"numba Tsit5, parallel": (numba_solve, few)} if numba_solve else {})}
+    if number == 1:
+        rivals["diffrax with Kvaerno5"] = contestants.plain_diffrax(motion, dfx.Kvaerno5), min(few, 64)
+        numba_solve = contestants.numba_tsit5()
+        rivals.update({"numba Tsit5, parallel": (numba_solve, few)} if numba_solve else {})
+    return rivals
 
 
 def main() -> None:
