@@ -8,7 +8,7 @@ from qsmc_jax.base.types import RealScalarLike, Scalars
 
 
 class Factors(NamedTuple):
-    """A matrix after Gaussian elimination with partial pivoting.
+    """A matrix after Gaussian elimination with pairwise pivoting: a row gives way to a later one with a larger pivot.
 
     Attributes:
         upper: Rows of the upper triangle, from the diagonal on.

@@ -29,7 +29,7 @@ def method_for(stiffness: float, nominal: float) -> str:
 
     A second method is a second program to compile: only runs that are much stiffer than the nominal one are worth it.
     """
-    is_stiff = stiffness > (3.0 * EXPLICIT_UP_TO if nominal <= EXPLICIT_UP_TO else 0.0)
+    is_stiff = nominal > EXPLICIT_UP_TO or stiffness > 3.0 * EXPLICIT_UP_TO
     return "rodas5p" if is_stiff else "tsit5"
 
 
