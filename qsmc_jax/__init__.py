@@ -13,6 +13,12 @@ if TYPE_CHECKING:
     from qsmc_jax.control.funnel import Funnel as Funnel
     from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
     from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
+    from qsmc_jax.implementation import actuators as actuators
+    from qsmc_jax.implementation import noises as noises
+    from qsmc_jax.implementation.implementation import GainFault as GainFault
+    from qsmc_jax.implementation.implementation import Implementation as Implementation
+    from qsmc_jax.implementation.implementation import Jitter as Jitter
+    from qsmc_jax.implementation.implementation import random_jitter as random_jitter
     from qsmc_jax.loop import ClosedLoop as ClosedLoop
     from qsmc_jax.model import disturbances as disturbances
     from qsmc_jax.model import plants as plants
@@ -45,6 +51,10 @@ _HOMES = {
     "Funnel": "qsmc_jax.control.funnel",
     "QuasiSlidingControl": "qsmc_jax.control.law",
     "SlidingSurface": "qsmc_jax.control.surface",
+    "GainFault": "qsmc_jax.implementation.implementation",
+    "Implementation": "qsmc_jax.implementation.implementation",
+    "Jitter": "qsmc_jax.implementation.implementation",
+    "random_jitter": "qsmc_jax.implementation.implementation",
     "ClosedLoop": "qsmc_jax.loop",
     "AbstractDisturbance": "qsmc_jax.model.disturbances",
     "AbstractPlant": "qsmc_jax.model.plants",
@@ -69,7 +79,9 @@ _HOMES = {
     "verify": "qsmc_jax.verification.verify",
 }
 _NAMESPACES = {
+    "actuators": "qsmc_jax.implementation.actuators",
     "disturbances": "qsmc_jax.model.disturbances",
+    "noises": "qsmc_jax.implementation.noises",
     "paper": "qsmc_jax.paper",
     "plants": "qsmc_jax.model.plants",
     "references": "qsmc_jax.model.references",

@@ -1,13 +1,17 @@
 """The closed loop as pure functions: plant, reference, disturbance and control, at one instant."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
+from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.law import QuasiSlidingControl
+from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.references import AbstractReference
@@ -27,17 +31,37 @@ class Balance(NamedTuple):
     disturbance: RealScalarLike
 
 
+class Terms(NamedTuple):
+    """What moves the plant at one instant, apart from the input.
+
+    Attributes:
+        drift: f.
+        gain: g, with the fault on it if there is one.
+        disturbance: d.
+        unmatched: What is added to the rates of the first n - 1 states.
+    """
+
+    drift: RealScalarLike
+    gain: RealScalarLike
+    disturbance: RealScalarLike
+    unmatched: Scalars
+
+
 class ClosedLoop(AbstractModule):
-    r"""A plant under quasi-sliding-mode control: $\dot x_n = f + g u + d$ with $u$ from `control`.
+    r"""A plant under a controller: $\dot x_n = f + g u + d$ with $u$ from `control`.
+
+    Without an `implementation` it is the loop of the paper, in continuous time, for the quasi-sliding-mode law only.
 
     Attributes:
         plant: The plant, of order n.
         reference: The desired output $x_{des}(t)$, at least n times differentiable.
         disturbance: The matched disturbance $d(t)$.
-        control: The control law with its surface (n - 1 coefficients) and funnel.
+        control: The controller with its surface (n - 1 coefficients) and funnel.
+        implementation: How the controller is implemented; None for the ideal loop.
 
     Raises:
-        ValueError: The surface does not have n - 1 coefficients, or the plant's drift or gain is not one number.
+        ValueError: The surface does not have n - 1 coefficients, or the plant's drift or gain is not one number, or
+            the implementation is for another order, or a law that the paper does not treat has none.
 
     Source: paper, eqs. (1), (2), (4).
     """
@@ -45,7 +69,8 @@ class ClosedLoop(AbstractModule):
     plant: AbstractPlant
     reference: AbstractReference
     disturbance: AbstractDisturbance
-    control: QuasiSlidingControl
+    control: AbstractControl
+    implementation: Implementation | None = None
 
     def __check_init__(self):
         order, has = self.plant.order, self.control.surface.order
@@ -56,6 +81,11 @@ class ClosedLoop(AbstractModule):
         )
         for method in ("drift", "gain"):
             _require_scalar(self.plant, method)
+        require(
+            self.implementation is not None or isinstance(self.control, QuasiSlidingControl),
+            f"Argument `implementation` must be given for a `{type(self.control).__name__}`: without one, only the "
+            "quasi-sliding-mode law can be solved. `Implementation(sample_period=1e-3)` will do.",
+        )
 
     @property
     def order(self) -> int:
@@ -79,8 +109,9 @@ class ClosedLoop(AbstractModule):
         return self.control.surface(self.errors(t, x))
 
     def input(self, t: RealScalarLike, x: State) -> RealScalarLike:
-        """The control input u, paper eq. (4); NaN outside the funnel, where the law is not defined."""
-        return self.control(self.sliding_variable(t, x), self.control.funnel(t))
+        """The control input u of the ideal loop, paper eq. (4); NaN outside the funnel, where the law is not defined."""
+        law: Any = self.control  # a `QuasiSlidingControl`: the constructor sees to it
+        return law(self.sliding_variable(t, x), self.control.funnel(t))
 
     def balance(self, t: RealScalarLike, errors: State, desired: State) -> Balance:
         """The terms of the sliding variable's derivative; `desired` is `self.desired(t)`, which callers have."""
@@ -88,11 +119,31 @@ class ClosedLoop(AbstractModule):
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
         return Balance(residual, self.plant.gain(t, x), d)
 
-    def vector_field(self, t: RealScalarLike, x: State) -> tuple[RealScalarLike, ...]:
-        """The state's derivative in physical coordinates, paper eq. (1) under eq. (4); NaN outside the funnel."""
-        plant = self.plant
-        last = plant.drift(t, x) + plant.gain(t, x) * self.input(t, x) + self.disturbance(t)
-        return (*x[1:], last)
+    def terms(self, t: RealScalarLike, x: State) -> Terms:
+        """What moves the plant at time t and state x, apart from the input."""
+        plan = self.implementation
+        gain = self.plant.gain(t, x)
+        if plan is not None and plan.gain_fault is not None:
+            gain = gain * plan.gain_fault(t)
+        unmatched = () if plan is None else tuple(signal(t) for signal in plan.unmatched)
+        return Terms(self.plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
+
+    def rates(self, terms: Terms, x: State, u: RealScalarLike) -> Scalars:
+        """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`, which callers have."""
+        chain = (xi + di for xi, di in zip(x[1:], terms.unmatched, strict=True))
+        return (*chain, terms.drift + terms.gain * u + terms.disturbance)
+
+    def vector_field(self, t: RealScalarLike, x: State) -> Scalars:
+        """The state's derivative in the ideal loop, paper eq. (1) under eq. (4); NaN outside the funnel."""
+        return self.rates(self.terms(t, x), x, self.input(t, x))
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
+        plan = self.implementation
+        return self.disturbance.break_times if plan is None else jnp.concatenate(
+            [self.disturbance.break_times, plan.break_times]
+        )
 
 
 def _require_scalar(plant: AbstractPlant, method: str) -> None:

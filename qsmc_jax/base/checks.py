@@ -42,6 +42,13 @@ def require_nonnegative(name: str, value: Any) -> None:
         require(ok, f"Argument `{name}` must be finite and not negative, but is {show(value)}.")
 
 
+def require_sign(name: str, value: Any) -> None:
+    """Raises unless every entry of `value` is 1 or -1."""
+    if not is_traced(value):
+        ok = bool(np.all(np.abs(np.asarray(value)) == 1.0))
+        require(ok, f"Argument `{name}` must be 1 or -1, but is {show(value)}. It is the sign of g.")
+
+
 def require_shape(name: str, value: Any, shape: tuple[int, ...], why: str) -> None:
     """Raises unless `value` has the given shape; `why` says where the shape comes from."""
     is_shape = np.shape(value)

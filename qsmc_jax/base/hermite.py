@@ -5,12 +5,15 @@ cubic, never off a save grid. Slopes are per step: `m = h * dy/dt`.
 """
 
 import functools as ft
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from qsmc_jax.base.types import RealScalarLike
+
+_BISECTIONS = 50
 
 
 class Cubic(NamedTuple):
@@ -58,6 +61,41 @@ class Cubic(NamedTuple):
         r"""$\max |p(\theta)|$ over $\theta$ from `start` in [0, 1] on."""
         return ft.reduce(jnp.maximum, map(jnp.abs, self.stations(start)))
 
+    def crest(self) -> tuple[RealScalarLike, RealScalarLike]:
+        r"""Where $|p|$ is highest after the start, and how high, if the cubic hardly bends more than a parabola does.
+
+        It looks at the end, and where the parabola with the slopes of both ends turns. What it misses is of the size of
+        the third-order terms of the step, which a solver of order 3 holds below its tolerance; in return it takes one
+        division.
+        """
+        bend = stop_gradient(self.m0 - self.m1)
+        turns = stop_gradient(self.m0) * (stop_gradient(self.m0) - bend) < 0.0
+        place = jnp.where(turns, stop_gradient(self.m0) / jnp.where(turns, bend, 1.0), 1.0)
+        inner, end = jnp.abs(self(place)), jnp.abs(self.y1)
+        is_inner = inner > end
+        return jnp.where(is_inner, place, 1.0), jnp.where(is_inner, inner, end)
+
+    def last_descent(self, level: RealScalarLike) -> RealScalarLike:
+        r"""The last place at which $|p|$ falls through `level`, given that it is at least `level` somewhere.
+
+        On the last monotone piece that begins outside, a bisection finds the place, and one Newton step from there
+        carries the derivative.
+        """
+        low, high = self.turning_points()
+        left, right = jnp.zeros(()), low
+        for start, end in ((low, high), (high, jnp.ones(()))):
+            begins_outside = jnp.abs(self(start)) >= level
+            left, right = jnp.where(begins_outside, start, left), jnp.where(begins_outside, end, right)
+        left, _ = stop_gradient(jax.lax.fori_loop(0, _BISECTIONS, ft.partial(_halve, self, level), (left, right)))
+        slope = jnp.sign(self(left)) * self.slope(left)
+        is_falling = slope < 0.0
+        step = (level - jnp.abs(self(left))) / jnp.where(is_falling, slope, -1.0)
+        return left + jnp.where(is_falling & (jnp.abs(step) < 1e-3), step, 0.0)
+
+    def first_ascent(self, level: RealScalarLike) -> RealScalarLike:
+        r"""The first place at which $|p|$ rises through `level`, given that it is at least `level` somewhere."""
+        return 1.0 - Cubic(self.y1, self.y0, -self.m1, -self.m0).last_descent(level)
+
 
 class Quartic(NamedTuple):
     r"""$p(\theta)$, $\theta \in [0, 1]$, with the ends of a cubic, and $p(1/2)$ given."""
@@ -96,6 +134,28 @@ class Quartic(NamedTuple):
         is_inside = (place > 0.0) & (place < 1.0)
         place = jnp.where(is_inside, self.turn_near(place), place)
         return place, jnp.where(is_inside, jnp.abs(self(place)), height)
+
+
+def _halve(
+    cubic: Cubic, level: RealScalarLike, _: Any, bracket: tuple[RealScalarLike, RealScalarLike]
+) -> tuple[RealScalarLike, RealScalarLike]:
+    """Half of the bracket: what lies left of it is outside the level, what lies right of it inside."""
+    middle = 0.5 * (bracket[0] + bracket[1])
+    is_outside = stop_gradient(jnp.abs(cubic(middle)) >= level)
+    return jnp.where(is_outside, middle, bracket[0]), jnp.where(is_outside, bracket[1], middle)
+
+
+def integral_of_square(
+    h: RealScalarLike,
+    left: tuple[RealScalarLike, RealScalarLike],
+    right: tuple[RealScalarLike, RealScalarLike],
+) -> RealScalarLike:
+    """The integral of p^2 over a step of length h, given p and its derivative (per time) at both ends.
+
+    The trapezium rule with end corrections: exact for the cubic through these data, as p^2 has them.
+    """
+    (p0, m0), (p1, m1) = left, right
+    return h * (0.5 * (p0 * p0 + p1 * p1) + h / 6.0 * (p0 * m0 - p1 * m1))
 
 
 def _horner(coefficients: tuple[RealScalarLike, ...], theta: RealScalarLike) -> RealScalarLike:

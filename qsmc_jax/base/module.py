@@ -1,6 +1,6 @@
 """The base class of everything that holds parameters, and the one way to declare a number field."""
 
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ class AbstractModule(eqx.Module):
 
     def __check_init__(self):
         for name, hint in get_type_hints(type(self), include_extras=True).items():
-            dims = getattr(hint, "dim_str", None)
+            dims = _dimensions(hint)
             value: Any = getattr(self, name, None)
             if dims is None or not eqx.is_array_like(value):
                 continue
@@ -28,6 +28,14 @@ class AbstractModule(eqx.Module):
                     f"Argument `{name}` of `{type(self).__name__}` must be {_RANKS[rank]}, but has shape "
                     f"{np.shape(value)}."
                 )
+
+
+def _dimensions(hint: Any) -> str | None:
+    """The axes of a jaxtyping annotation, also of one that allows None; None for anything else."""
+    for part in (hint, *get_args(hint)):
+        if hasattr(part, "dim_str"):
+            return part.dim_str
+    return None
 
 
 _RANKS = {0: "a single number", 1: "a one-dimensional list of numbers", 2: "a matrix"}
@@ -48,7 +56,12 @@ else:
 
 
 def as_float64(value: Any) -> Any:
-    """`value` as a NumPy float64 array; JAX arrays, tracers and sequences holding tracers become JAX arrays."""
+    """`value` as a NumPy float64 array; JAX arrays, tracers and sequences holding tracers become JAX arrays.
+
+    None, which stands for something switched off, stays None.
+    """
+    if value is None:
+        return None
     if isinstance(value, Tracer):
         return value.astype(float) if jnp.issubdtype(value.dtype, jnp.integer) else value
     if isinstance(value, list | tuple) and any(isinstance(v, Tracer) for v in jax.tree.leaves(value)):

@@ -1,17 +1,20 @@
 """The quasi-sliding-mode control law."""
 
-import numpy as np
+import math
+
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_traced, require, show
+from qsmc_jax.base.checks import require_sign
 from qsmc_jax.base.gudermann import tan_half_pi
-from qsmc_jax.base.module import AbstractModule, float_field
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.module import float_field
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.funnel import Funnel
 from qsmc_jax.control.surface import SlidingSurface
 
 
-class QuasiSlidingControl(AbstractModule):
+class QuasiSlidingControl(AbstractControl):
     r"""The law $u = -\operatorname{sgn}(g)\tan\frac{\pi\sigma}{2\rho}$.
 
     Of the plant it knows the order and the sign of the gain.
@@ -30,12 +33,16 @@ class QuasiSlidingControl(AbstractModule):
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
     def __check_init__(self):
-        if not is_traced(self.gain_sign):
-            require(
-                bool(np.all(np.abs(self.gain_sign) == 1.0)),
-                f"Argument `gain_sign` must be 1 or -1, but is {show(self.gain_sign)}. It is the sign of g.",
-            )
+        require_sign("gain_sign", self.gain_sign)
 
     def __call__(self, sigma: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
         r"""The control at sliding variable `sigma` and half-width `rho`; NaN unless $|\sigma| < \rho$."""
         return -self.gain_sign * tan_half_pi(sigma, rho)
+
+    def first_memory(self) -> Scalars:
+        return ()
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        if sample.beyond == "wrap":
+            return -self.gain_sign * jnp.tan(0.5 * math.pi * sample.sigma / sample.rho), ()
+        return self(sample.inside(), sample.rho), ()

@@ -1,4 +1,4 @@
-"""The one place that calls `diffeqsolve`: a problem, a start and a horizon in, figures (and signals) out."""
+"""The one place that solves a run: a problem, a start and a horizon in, figures (and signals) out."""
 
 import diffrax as dfx
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.fence import Fence
-from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.loop import ClosedLoop
@@ -15,6 +15,8 @@ from qsmc_jax.simulation.figures import Ending, Figures, read_figures
 from qsmc_jax.simulation.guarded_solver import GuardedSolver, Run
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
+from qsmc_jax.simulation.sampled_figures import read_sampled_figures
+from qsmc_jax.simulation.sampled_loop import run_sampled
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.step_size import controller
 from qsmc_jax.simulation.tally import Problem, first_tally
@@ -47,14 +49,26 @@ def solve(
         ts: Times [s] at which to save the integrated coordinates, sorted, within [0, t1].
 
     Returns:
-        The figures, and the coordinates at `ts` (n arrays; meaningless after the end of a run that stopped early
-        or was refused).
+        The figures, and at `ts` the coordinates (n arrays), or for a loop with an implementation the states and the
+        input (n + 1 arrays); meaningless after the end of a run that stopped early or was refused.
     """
-    solver = vectorised(_solve) if settings.vectorise else _solve
+    solver = _solve_ideal if problem.loop.implementation is None else _solve_sampled
+    solver = vectorised(solver) if settings.vectorise else solver
     return solver(problem, x0, t1, settings, ts)
 
 
-def _solve(
+def _solve_sampled(
+    problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
+) -> tuple[Figures, tuple[Array, ...] | None]:
+    horizon, implementation = jnp.asarray(t1), problem.loop.implementation
+    is_fit = _is_fit(problem) & implementation.is_valid(horizon)
+    refused = jnp.where(is_fit, int(Outcome.COMPLETED), int(Outcome.BAD_PARAMETERS))
+    course = run_sampled(problem, tuple(x0), horizon, is_fit, settings, ts)
+    saved = None if course.saved is None else (*course.saved.x, course.saved.u)
+    return read_sampled_figures(problem, refused, horizon, settings.max_steps, course), saved
+
+
+def _solve_ideal(
     problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
 ) -> tuple[Figures, tuple[Array, ...] | None]:
     refused = _refusal(problem, x0)
@@ -102,9 +116,14 @@ def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:
     control = problem.loop.control
     sigma, rho = problem.loop.sliding_variable(0.0, x0), control.funnel(0.0)
     starts_inside = jnp.abs(sigma) < rho
-    is_fit = control.funnel.is_valid() & control.surface.is_hurwitz()
     code = jnp.where(starts_inside, int(Outcome.COMPLETED), int(Outcome.STARTED_OUTSIDE))
-    return jnp.where(is_fit, code, int(Outcome.BAD_PARAMETERS))
+    return jnp.where(_is_fit(problem), code, int(Outcome.BAD_PARAMETERS))
+
+
+def _is_fit(problem: Problem) -> BoolScalarLike:
+    """Whether the funnel is one and the surface Hurwitz."""
+    control = problem.loop.control
+    return control.funnel.is_valid() & control.surface.is_hurwitz()
 
 
 def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:

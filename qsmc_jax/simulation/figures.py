@@ -1,9 +1,7 @@
 """From the end of a solve to what a user reads: outcome, verdict per claim, and the figures of one run."""
 
-from typing import Any
 
 import diffrax as dfx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -17,7 +15,26 @@ from qsmc_jax.simulation.tally import OutsideStep, Peak, Problem
 # A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and
 # the input does not push back now nor then.
 _IMMINENT = 1e-9
-_BISECTIONS = 50
+
+
+class SampledFigures(AbstractModule):
+    """What is known of a loop with an implementation besides; the steady phase is from t_r to the horizon.
+
+    Attributes:
+        recovery_time: Time after which |sigma| < rho for good [s]; 0 if it never was outside, inf if it ends there.
+        peak_excess: sup (|sigma| - rho), in units of the sliding variable; negative inside the funnel.
+        excess_variation_u: In the steady phase, total variation of u less that of the equivalent input -w/g.
+        reversal_rate: Reversals of the command per time in the steady phase [1/s], with a hysteresis of 1 % of its range.
+        high_frequency_ratio: Part of the power of u above the cutoff frequency in the steady phase [-].
+        peak_rate_u: Largest change of the command from sample to sample over the period, in the steady phase.
+    """
+
+    recovery_time: Float[Array, ""]
+    peak_excess: Float[Array, ""]
+    excess_variation_u: Float[Array, ""]
+    reversal_rate: Float[Array, ""]
+    high_frequency_ratio: Float[Array, ""]
+    peak_rate_u: Float[Array, ""]
 
 
 class Figures(AbstractModule):
@@ -29,13 +46,13 @@ class Figures(AbstractModule):
         verdict_tracking: Verdict on the errors ending inside the bound that |sigma| < bandwidth implies.
         outcome: How the solve ended, an `Outcome`.
         end_time: Time up to which the run was solved [s].
-        peak_ratio: sup |sigma|/rho [-]; 1 if the run left the funnel.
+        peak_ratio: sup |sigma|/rho [-]; 1 if an ideal loop left the funnel, where it ends.
         margin: 1 - peak_ratio [-], without cancellation.
         peak_time: When the peak occurs [s].
         peak_u: sup |u|, units of the input.
         peak_u_bound: What the comparison lemma allows for `peak_u`; a higher peak is a defect of the simulator.
         reach_time: Time after which |sigma| < bandwidth for good [s]; inf if never.
-        violation_time: When the run left the funnel [s]; inf if it did not.
+        violation_time: When the run first left the funnel [s]; inf if it did not.
         settle_time: Time after which the errors are within their bounds for good, to the step [s]; inf if never.
         peak_errors: sup |e^(i)| over t >= t_r, i = 0..n-1.
         rms_error: Root mean square of e over the horizon.
@@ -44,6 +61,7 @@ class Figures(AbstractModule):
         least_gain: Least gain_sign * g met at the end of a step; not positive if the premise on the gain is broken.
         largest_disturbance: Largest |d| met at the end of a step.
         steps: Steps taken, kept or not.
+        sampled: What is known of a loop with an implementation besides; None for the ideal loop.
     """
 
     verdict: Int[Array, ""]
@@ -66,6 +84,7 @@ class Figures(AbstractModule):
     least_gain: Float[Array, ""]
     largest_disturbance: Float[Array, ""]
     steps: Int[Array, ""]
+    sampled: SampledFigures | None = None
 
 
 class Ending(AbstractModule):
@@ -84,7 +103,7 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
     """Outcome first, then the verdicts, then the figures: those of an unfinished run are masked."""
     tally = ending.run.tally
     outcome, peak = _outcome(problem, ending), tally.peak
-    reach_time = _reach_time(tally.outside, problem.bandwidth, ending.end_time)
+    reach_time = last_outside(tally.outside, problem.bandwidth, ending.end_time)
     settle_time = jnp.where(tally.unsettled_time >= ending.end_time, jnp.inf, tally.unsettled_time)
     verdict, reaching, tracking = _verdicts(problem, outcome, ending.horizon, reach_time, settle_time)
     is_complete = outcome == Outcome.COMPLETED
@@ -181,31 +200,10 @@ def _verdicts(
     return funnel, jnp.where(admits, reaching, inadmissible), jnp.where(admits, tracking, inadmissible)
 
 
-def _reach_time(outside: OutsideStep, bandwidth: RealScalarLike, end_time: RealScalarLike) -> Float[Array, ""]:
-    """The last time with |sigma| >= bandwidth: 0 if there is none, inf if the run ends so.
-
-    In the last such step, |sigma| falls through the bandwidth on the last monotone piece that begins outside; a
-    bisection finds the place, and one Newton step from there carries the derivative.
-    """
-    sigma = outside.sigma
-    low, high = sigma.turning_points()
-    left, right = jnp.zeros(()), low
-    for start, end in ((low, high), (high, jnp.ones(()))):
-        begins_outside = jnp.abs(sigma(start)) >= bandwidth
-        left, right = jnp.where(begins_outside, start, left), jnp.where(begins_outside, end, right)
-
-    def halve(_: Any, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        middle = 0.5 * (bracket[0] + bracket[1])
-        is_outside = jnp.abs(sigma(middle)) >= bandwidth
-        return jnp.where(is_outside, middle, bracket[0]), jnp.where(is_outside, bracket[1], middle)
-
-    left, _ = jax.lax.stop_gradient(jax.lax.fori_loop(0, _BISECTIONS, halve, jax.lax.stop_gradient((left, right))))
-    slope = jnp.sign(sigma(left)) * sigma.slope(left)
-    is_falling = slope < 0.0
-    step = (bandwidth - jnp.abs(sigma(left))) / jnp.where(is_falling, slope, -1.0)
-    theta = left + jnp.where(is_falling & (jnp.abs(step) < 1e-3), step, 0.0)
-    ends_outside = (jnp.abs(sigma.y1) >= bandwidth) & (outside.start + outside.length >= end_time)
-    crossed = outside.start + theta * outside.length
+def last_outside(outside: OutsideStep, level: RealScalarLike, end_time: RealScalarLike) -> Float[Array, ""]:
+    """The last time at which |p| is at least `level`, given the last step in which it is: 0 if none, inf at the end."""
+    ends_outside = (jnp.abs(outside.sigma.y1) >= level) & (outside.start + outside.length >= end_time)
+    crossed = outside.start + outside.sigma.last_descent(level) * outside.length
     return jnp.where(outside.length > 0.0, jnp.where(ends_outside, jnp.inf, crossed), 0.0)
 
 

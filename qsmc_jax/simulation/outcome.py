@@ -27,6 +27,8 @@ class Outcome(enum.IntEnum):
     MAX_STEPS = 4
     STEP_TOO_SMALL = 5
     BEYOND_RESOLUTION = 6
+    LOST = 7
+    QUEUE_FULL = 8
 
     @property
     def advice(self) -> str:
@@ -35,7 +37,7 @@ class Outcome(enum.IntEnum):
 
 
 _ADVICE = {
-    Outcome.COMPLETED: "Solved to the end of the horizon inside the funnel.",
+    Outcome.COMPLETED: "Solved to the end of the horizon.",
     Outcome.LEFT_FUNNEL: "The sliding variable reached the funnel's edge where the input does not push back: look at "
     "`least_gain` (a wrong `gain_sign`, or a gain that vanishes) for the broken premise.",
     Outcome.STARTED_OUTSIDE: "The start is not inside the funnel, |sigma(0)| >= rho(0): enlarge `rho0` or move `x0`.",
@@ -47,4 +49,8 @@ _ADVICE = {
     "is not finite, or jumps at a time that is not among `break_times`.",
     Outcome.BEYOND_RESOLUTION: "Came closer to the funnel's edge than float64 resolves, with the input still pushing "
     "back: the disturbance or drift is huge against the gain.",
+    Outcome.LOST: "Left the funnel for good, a thousand of its widths away, and was not followed further: sample faster, "
+    "or allow more input.",
+    Outcome.QUEUE_FULL: "The delay is longer than the samples that can be under way: raise `queue` of the "
+    "`Implementation` above the delay over the period.",
 }

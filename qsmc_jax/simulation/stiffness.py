@@ -18,8 +18,11 @@ EXPLICIT_UP_TO = 1000.0
 def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> RealScalarLike:
     r"""Decay times of the sliding variable in a run to `t1`, $|g| \frac{\pi}{2 \rho_\infty} t_1$ [-], at u = 0.
 
-    An explicit method needs about a third as many steps at the least, and $1 + u^2$ times as many under an input u.
+    An explicit method needs about a third as many steps at the least, and $1 + u^2$ times as many under an input u. A
+    loop with an implementation is open between samples: 0.
     """
+    if loop.implementation is not None:
+        return 0.0
     gain = loop.plant.gain(0.0, tuple(x0[i] for i in range(loop.order)))
     return abs(gain) * (0.5 * math.pi) / loop.control.funnel.rho_inf * t1
 

@@ -14,9 +14,9 @@ from jaxtyping import Array, Bool
 from qsmc_jax.base import trees
 from qsmc_jax.base.fence import Fence
 from qsmc_jax.base.gudermann import sinh_cosh
-from qsmc_jax.base.hermite import Cubic, Quartic
+from qsmc_jax.base.hermite import Cubic, Quartic, integral_of_square
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import RealScalarLike, Scalars, State
+from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.coordinates import AbstractCoordinates
 
@@ -153,7 +153,7 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
         ),
         total_variation=tally.total_variation + _variation_of_input(left.u, s.stations()[1:-1], right.u),
         energy=tally.energy + h * _mean_square_of_input(left.u, s, right.u),
-        squared_error=tally.squared_error + _integral_of_square(h, left.errors[:2], right.errors[:2]),
+        squared_error=tally.squared_error + integral_of_square(h, left.errors[:2], right.errors[:2]),
         least_gain=jnp.minimum(tally.least_gain, gain),
         largest_disturbance=jnp.maximum(tally.largest_disturbance, disturbance),
     )
@@ -215,12 +215,3 @@ def _mean_square_of_input(u0: RealScalarLike, s: Cubic, u1: RealScalarLike) -> R
     """By Lobatto's rule on s, since u can be exponential in time where s is straight."""
     inner = sum(sinh_cosh(s(node))[0] ** 2 for node in _LOBATTO_NODES)
     return _LOBATTO_END * (u0**2 + u1**2) + _LOBATTO_INNER * inner
-
-
-def _integral_of_square(h: RealScalarLike, left: State, right: State) -> RealScalarLike:
-    """The integral of p^2 over a step, given p and its derivative at both ends.
-
-    The trapezium rule with end corrections: exact for the cubic through these data, as p^2 has them.
-    """
-    (p0, m0), (p1, m1) = left, right
-    return h * (0.5 * (p0 * p0 + p1 * p1) + h / 6.0 * (p0 * m0 - p1 * m1))

@@ -148,6 +148,8 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     require_shape("x0", x0, (loop.order,), f"the plant has order {loop.order}")
     require_finite("x0", x0)
     require_positive("t1", t1)
+    if loop.implementation is not None:
+        loop.implementation.check(loop.order, t1)
 
 
 @entry_point
@@ -174,8 +176,9 @@ def _solve_and_sample(
     loop = problem.loop
     start = tuple(x0[i] for i in range(loop.order))
     figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts))
-    signals = jax.vmap(lambda t, y: _signals(problem, t, y))(jnp.asarray(ts), saved)
-    has_ended = (ts > figures.end_time) | (figures.verdict == Verdict.INADMISSIBLE)
+    read = _signals if loop.implementation is None else _sampled_signals
+    signals = jax.vmap(lambda t, y: read(problem, t, y))(jnp.asarray(ts), saved)
+    has_ended = (ts > figures.end_time) | _is_refused(figures.outcome)
     x, desired, e, sigma, rho, u, d = signals
     x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (x, e))
     sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (sigma, u))
@@ -191,6 +194,18 @@ def _signals(problem: Problem, t: Array, y: tuple[Array, ...]) -> tuple[Array, .
     e = [xi - di for xi, di in zip(x, desired, strict=True)]
     u = -loop.control.gain_sign * sinh_cosh(s)[0]
     return jnp.stack(x), jnp.stack(desired), jnp.stack(e), rho * ratio(s), rho, u, jnp.asarray(loop.disturbance(t))
+
+
+def _is_refused(outcome: Array) -> Array:
+    return (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
+
+
+def _sampled_signals(problem: Problem, t: Array, saved: tuple[Array, ...]) -> tuple[Array, ...]:
+    """The same of a loop with an implementation, from its state and input."""
+    loop, (*x, u) = problem.loop, saved
+    desired, e = loop.desired(t)[:-1], loop.errors(t, x)
+    sigma, rho, d = loop.control.surface(e), loop.control.funnel(t), jnp.asarray(loop.disturbance(t))
+    return jnp.stack(x), jnp.stack(desired), jnp.stack(e), sigma, rho, u, d
 
 
 def _check_times(ts: np.ndarray, t1: float) -> None:

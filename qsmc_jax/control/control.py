@@ -1,0 +1,73 @@
+"""What a controller is, whatever its law: from what it measures at an instant to an input, with a memory of its own."""
+
+import abc
+from typing import Literal, NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.surface import SlidingSurface
+
+Beyond: TypeAlias = Literal["saturate", "wrap"]
+
+# How near to its edge a law with a pole there is evaluated at most: the quasi-sliding-mode law then gives 6.4e8.
+_EDGE = 1e-9
+
+
+class Sample(NamedTuple):
+    """What a controller is given at a sampling instant.
+
+    Attributes:
+        t: Time [s].
+        period: Nominal time between samples [s].
+        sigma: The sliding variable as measured.
+        rho: Half-width of the funnel.
+        desired: Desired output and its first n derivatives, n + 1 scalars.
+        beyond: What a law that is made for the funnel does outside: `"saturate"` holds the value it has just inside
+            the edge; `"wrap"` evaluates the formula as it stands, which for the tangent has the wrong sign.
+    """
+
+    t: RealScalarLike
+    period: RealScalarLike
+    sigma: RealScalarLike
+    rho: RealScalarLike
+    desired: Scalars
+    beyond: Beyond = "saturate"
+
+    def inside(self) -> RealScalarLike:
+        """The sliding variable at which a law that is made for the funnel is evaluated."""
+        if self.beyond == "wrap":
+            return self.sigma
+        edge = (1.0 - _EDGE) * self.rho
+        return jnp.clip(self.sigma, -edge, edge)
+
+
+class AbstractControl(AbstractModule):
+    """A controller: it knows the errors, the reference, and of the plant the order and the sign of the gain.
+
+    Attributes:
+        surface: Sliding surface.
+        funnel: Funnel: what the loop is judged by, whether or not the law makes use of it.
+        gain_sign: The sign of the control gain g, 1 or -1.
+    """
+
+    surface: eqx.AbstractVar[SlidingSurface]
+    funnel: eqx.AbstractVar[Funnel]
+    gain_sign: eqx.AbstractVar[Float[Array, ""]]
+
+    @abc.abstractmethod
+    def first_memory(self) -> Scalars:
+        """The controller's memory before the first sample; empty if its law has none."""
+
+    @abc.abstractmethod
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        """The input to be held until the next sample, and the memory to be kept.
+
+        Args:
+            sample: What it is given.
+            memory: What it kept at the sample before.
+        """

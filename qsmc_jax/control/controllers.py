@@ -1,0 +1,333 @@
+r"""Controllers to compare the quasi-sliding-mode law with, all on the same sliding variable and judged by the same funnel.
+
+What each reads, $\sigma$ with $\dot\sigma = w + g u$, is what that law reads. `Sign`, `BoundaryLayer`, `SuperTwisting`
+and `ProportionalDerivative` are defined everywhere, so that `Sample.beyond` is nothing to them; the other two are made
+for the funnel as that law is.
+
+A comparison means something on equal terms only. Each class builds its controller from the quasi-sliding-mode one
+that it is to be compared with, by a stated rule: the same slope at $\sigma = 0$, the same error in the end, or gains
+from a bound on what they have to overcome. The rules take traced numbers.
+"""
+
+import math
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive, require_sign, show
+from qsmc_jax.base.module import float_field
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.law import QuasiSlidingControl
+from qsmc_jax.control.surface import SlidingSurface
+
+
+class Sign(AbstractControl):
+    r"""Classical sliding mode, $u = -\operatorname{sgn}(g) K \operatorname{sgn}\sigma$ with $\operatorname{sgn} 0 = 0$.
+
+    Sampled with period $\tau$ it leaves $|\sigma| = O(\tau)$.
+
+    Attributes:
+        surface: Sliding surface.
+        funnel: Funnel that the loop is judged by.
+        amplitude: K, in units of the input, positive.
+        gain_sign: The sign of the control gain g, 1 or -1.
+
+    Source: Utkin, Sliding Modes in Control and Optimization (1992).
+    """
+
+    surface: SlidingSurface
+    funnel: Funnel
+    amplitude: Float[Array, ""] = float_field()
+    gain_sign: Float[Array, ""] = float_field(default=1.0)
+
+    def __check_init__(self):
+        require_positive("amplitude", self.amplitude)
+        require_sign("gain_sign", self.gain_sign)
+
+    @classmethod
+    def for_bound(
+        cls,
+        control: QuasiSlidingControl,
+        residual_bound: RealScalarLike,
+        least_gain: RealScalarLike,
+        reaching_rate: RealScalarLike,
+    ) -> "Sign":
+        r"""The least amplitude with $\sigma\dot\sigma \le -\eta|\sigma|$, $K = (W + \eta) / g_{min}$.
+
+        Args:
+            control: What it is to be compared with.
+            residual_bound: Bound W on $|w|$, in units of the sliding variable per second, not negative.
+            least_gain: Least value $g_{min}$ of $|g|$, positive.
+            reaching_rate: Rate $\eta$, in units of the sliding variable per second, positive.
+        """
+        amplitude = (residual_bound + reaching_rate) / least_gain
+        return cls(control.surface, control.funnel, amplitude, control.gain_sign)
+
+    def first_memory(self) -> Scalars:
+        return ()
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        return -self.gain_sign * self.amplitude * jnp.sign(sample.sigma), ()
+
+
+class BoundaryLayer(AbstractControl):
+    r"""Sliding mode with a boundary layer, $u = -\operatorname{sgn}(g) K \operatorname{sat}(\sigma / \phi)$.
+
+    Attributes:
+        surface: Sliding surface.
+        funnel: Funnel that the loop is judged by.
+        amplitude: K, in units of the input, positive.
+        width: Half-width $\phi$ of the layer, in units of the sliding variable, positive.
+        gain_sign: The sign of the control gain g, 1 or -1.
+
+    Source: Slotine and Li, Applied Nonlinear Control (1991), section 7.2.
+    """
+
+    surface: SlidingSurface
+    funnel: Funnel
+    amplitude: Float[Array, ""] = float_field()
+    width: Float[Array, ""] = float_field()
+    gain_sign: Float[Array, ""] = float_field(default=1.0)
+
+    def __check_init__(self):
+        require_positive("amplitude", self.amplitude)
+        require_positive("width", self.width)
+        require_sign("gain_sign", self.gain_sign)
+
+    @classmethod
+    def with_equal_slope(cls, control: QuasiSlidingControl, amplitude: RealScalarLike) -> "BoundaryLayer":
+        r"""The layer with the slope of `control` at $\sigma = 0$ and $\rho = \rho_\infty$, $K / \phi = \pi / 2\rho_\infty$."""
+        return cls(control.surface, control.funnel, amplitude, amplitude / _slope(control), control.gain_sign)
+
+    @classmethod
+    def with_equal_accuracy(
+        cls,
+        control: QuasiSlidingControl,
+        amplitude: RealScalarLike,
+        residual_bound: RealScalarLike,
+        least_gain: RealScalarLike,
+    ) -> "BoundaryLayer":
+        r"""The layer that leaves at rest, under the worst w and g, the $|\sigma|$ that `control` leaves.
+
+        With $r = W / g_{min}$ these are $\phi r / K$ and $\frac{2}{\pi}\rho_\infty\arctan r$.
+
+        Args:
+            control: What it is to be compared with.
+            amplitude: K, above r: with less, there is no rest in the layer.
+            residual_bound: Bound W on $|w|$, in units of the sliding variable per second, positive.
+            least_gain: Least value $g_{min}$ of $|g|$, positive.
+        """
+        needed = residual_bound / least_gain
+        require_positive("residual_bound", residual_bound)
+        require_positive("least_gain", least_gain)
+        if not is_traced(amplitude, needed):
+            require(
+                bool(amplitude > needed),
+                f"Argument `amplitude` must be above `residual_bound / least_gain` = {show(needed)}, but is "
+                f"{show(amplitude)}.",
+            )
+        width = amplitude * _error_at_rest(control, needed) / needed
+        return cls(control.surface, control.funnel, amplitude, width, control.gain_sign)
+
+    def first_memory(self) -> Scalars:
+        return ()
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        return -self.gain_sign * self.amplitude * jnp.clip(sample.sigma / self.width, -1.0, 1.0), ()
+
+
+class SuperTwisting(AbstractControl):
+    r"""The super-twisting law $u = -\operatorname{sgn}(g) k_1 |\sigma|^{1/2} \operatorname{sgn}\sigma + v$.
+
+    Its memory is the integral $\dot v = -\operatorname{sgn}(g) k_2 \operatorname{sgn}\sigma$, 0 at first, and taken as it
+    is implemented, by explicit Euler steps of the nominal period: $v_{k+1} = v_k - \operatorname{sgn}(g) k_2 \tau
+    \operatorname{sgn}\sigma_k$. It leaves $|\sigma| = O(\tau^2)$ if g is constant. Nothing stops the integral when the
+    command saturates. The slope at $\sigma = 0$ is infinite; its derivative there is given as 0.
+
+    Attributes:
+        surface: Sliding surface.
+        funnel: Funnel that the loop is judged by.
+        k1: Gain on the root, in units of the input per root of the sliding variable's, positive.
+        k2: Gain on the integral, in units of the input per second, positive.
+        gain_sign: The sign of the control gain g, 1 or -1.
+
+    Source: Levant, Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58 (1993).
+    """
+
+    surface: SlidingSurface
+    funnel: Funnel
+    k1: Float[Array, ""] = float_field()
+    k2: Float[Array, ""] = float_field()
+    gain_sign: Float[Array, ""] = float_field(default=1.0)
+
+    def __check_init__(self):
+        require_positive("k1", self.k1)
+        require_positive("k2", self.k2)
+        require_sign("gain_sign", self.gain_sign)
+
+    @classmethod
+    def for_rate(
+        cls, control: QuasiSlidingControl, residual_rate: RealScalarLike, least_gain: RealScalarLike
+    ) -> "SuperTwisting":
+        r"""The usual gains for $|\dot w| \le L$, $k_1 = 1.5 \sqrt L / g_{min}$ and $k_2 = 1.1 L / g_{min}$.
+
+        With $\xi = w + g v$ and constant g > 0 the loop is $\dot\sigma = -g k_1 |\sigma|^{1/2} \operatorname{sgn}\sigma +
+        \xi$, $\dot\xi = \dot w - g k_2 \operatorname{sgn}\sigma$, so that both gains stand with g. It is stable if $g k_2 >
+        L$ and $(g k_1)^2 > g k_2 + L$, which then hold for every constant $g \ge g_{min}$. If g varies, w also drives it
+        through $\dot g v$, and L has to bound that too.
+
+        Args:
+            control: What it is to be compared with.
+            residual_rate: Bound L on $|\dot w|$, in units of the sliding variable per second squared, positive.
+            least_gain: Least value $g_{min}$ of $|g|$, positive.
+
+        Source: Levant, Robust exact differentiation via sliding mode technique, Automatica 34 (1998), for g = 1; Seeber
+        and Horn, Automatica 84 (2017), for the conditions.
+        """
+        k1, k2 = 1.5 * residual_rate**0.5 / least_gain, 1.1 * residual_rate / least_gain
+        return cls(control.surface, control.funnel, k1, k2, control.gain_sign)
+
+    def first_memory(self) -> Scalars:
+        return (jnp.zeros(()),)
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        (v,), sign = memory, jnp.sign(sample.sigma)
+        u = v - self.gain_sign * self.k1 * sign * _root(jnp.abs(sample.sigma))
+        return u, (v - self.gain_sign * self.k2 * sample.period * sign,)
+
+
+class PrescribedPerformance(AbstractControl):
+    r"""Prescribed performance control, $u = -\operatorname{sgn}(g) k \ln\frac{1 + z}{1 - z}$ with $z = \sigma / \rho$.
+
+    Outside the funnel it holds 21.4 k, its value just inside: the logarithm grows so slowly that a larger k may be
+    needed where the tangent has enough. `beyond="wrap"` evaluates the formula as it stands, which has no value there:
+    u is NaN.
+
+    Attributes:
+        surface: Sliding surface.
+        funnel: Funnel $\rho(t)$.
+        gain: k, in units of the input, positive.
+        gain_sign: The sign of the control gain g, 1 or -1.
+
+    Source: Bechlioulis and Rovithakis, IEEE Trans. Automatic Control 53 (2008), for the transformation, and Automatica
+    50 (2014), for the law without adaptation; both have it on the errors one by one, here it acts on $\sigma$.
+    """
+
+    surface: SlidingSurface
+    funnel: Funnel
+    gain: Float[Array, ""] = float_field()
+    gain_sign: Float[Array, ""] = float_field(default=1.0)
+
+    def __check_init__(self):
+        require_positive("gain", self.gain)
+        require_sign("gain_sign", self.gain_sign)
+
+    @classmethod
+    def with_equal_slope(cls, control: QuasiSlidingControl) -> "PrescribedPerformance":
+        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi / 4$."""
+        return cls(control.surface, control.funnel, 0.25 * math.pi, control.gain_sign)
+
+    def first_memory(self) -> Scalars:
+        return ()
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        # ln((1 + z) / (1 - z)) = 2 artanh z, which keeps its digits at 0
+        return -2.0 * self.gain_sign * self.gain * jnp.arctanh(sample.inside() / sample.rho), ()
+
+
+class FunnelControl(AbstractControl):
+    r"""Funnel control, $u = -\operatorname{sgn}(g) k \frac{z}{1 - z^2}$ with $z = \sigma / \rho$.
+
+    Outside the funnel it holds its value just inside, 5e8 k. `beyond="wrap"` evaluates the formula as it stands, which
+    has the wrong sign there.
+
+    Attributes:
+        surface: Sliding surface.
+        funnel: Funnel $\rho(t)$.
+        gain: k, in units of the input, positive.
+        gain_sign: The sign of the control gain g, 1 or -1.
+
+    Source: Ilchmann, Ryan and Sangwin, ESAIM: COCV 7 (2002), with the gain $1 / (1 - |z|)$ on the error; this smooth
+    gain is that of Berger, Le and Reis, Automatica 87 (2018). Here it acts on $\sigma$, in units of $\rho$.
+    """
+
+    surface: SlidingSurface
+    funnel: Funnel
+    gain: Float[Array, ""] = float_field()
+    gain_sign: Float[Array, ""] = float_field(default=1.0)
+
+    def __check_init__(self):
+        require_positive("gain", self.gain)
+        require_sign("gain_sign", self.gain_sign)
+
+    @classmethod
+    def with_equal_slope(cls, control: QuasiSlidingControl) -> "FunnelControl":
+        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi / 2$."""
+        return cls(control.surface, control.funnel, 0.5 * math.pi, control.gain_sign)
+
+    def first_memory(self) -> Scalars:
+        return ()
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        # z / (1 - z^2) with the distances to the edges, which floating point knows exactly
+        sigma, rho = sample.inside(), sample.rho
+        return -self.gain_sign * self.gain * (sigma / (rho - sigma)) * (rho / (rho + sigma)), ()
+
+
+class ProportionalDerivative(AbstractControl):
+    r"""The naive reference, $u = \operatorname{sgn}(g) (k_f x_{des}^{(n)} - k \sigma)$.
+
+    For n = 2 this is a PD controller with gains $k c_1$ and k and a feedforward of the desired acceleration; nothing
+    compensates gravity or any other part of f.
+
+    Attributes:
+        surface: Sliding surface.
+        funnel: Funnel that the loop is judged by.
+        gain: k, in units of the input per unit of the sliding variable, positive.
+        feedforward: $k_f$, in units of the input per unit of $x_{des}^{(n)}$: what $1 / |g|$ is taken to be; 0 for none.
+        gain_sign: The sign of the control gain g, 1 or -1.
+    """
+
+    surface: SlidingSurface
+    funnel: Funnel
+    gain: Float[Array, ""] = float_field()
+    feedforward: Float[Array, ""] = float_field(default=0.0)
+    gain_sign: Float[Array, ""] = float_field(default=1.0)
+
+    def __check_init__(self):
+        require_positive("gain", self.gain)
+        require_finite("feedforward", self.feedforward)
+        require_sign("gain_sign", self.gain_sign)
+
+    @classmethod
+    def with_equal_slope(
+        cls, control: QuasiSlidingControl, feedforward: RealScalarLike = 0.0
+    ) -> "ProportionalDerivative":
+        r"""The law with the slope of `control` at $\sigma = 0$ and $\rho = \rho_\infty$, $k = \pi / 2\rho_\infty$."""
+        return cls(control.surface, control.funnel, _slope(control), feedforward, control.gain_sign)
+
+    def first_memory(self) -> Scalars:
+        return ()
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        return self.gain_sign * (self.feedforward * sample.desired[-1] - self.gain * sample.sigma), ()
+
+
+def _slope(control: QuasiSlidingControl) -> RealScalarLike:
+    r"""How steep the tangent is at $\sigma = 0$ when the funnel has shrunk, $\pi / 2\rho_\infty$."""
+    return 0.5 * math.pi / control.funnel.rho_inf
+
+
+@entry_point
+def _error_at_rest(control: QuasiSlidingControl, needed: RealScalarLike) -> RealScalarLike:
+    r"""The $|\sigma|$ at which the tangent gives the input `needed`, when the funnel has shrunk."""
+    return (2.0 / math.pi) * control.funnel.rho_inf * jnp.arctan(needed)
+
+
+def _root(size: Float[Array, ""]) -> Float[Array, ""]:
+    """The root of a size, with derivative 0 at 0."""
+    is_zero = size == 0.0
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, size)))

@@ -1,0 +1,1 @@
+"""How a controller meets reality: sampled, delayed, limited, noisy, and through an actuator."""

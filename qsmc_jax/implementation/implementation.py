@@ -1,0 +1,232 @@
+"""The implementation of a controller: what of the paper's continuous, unlimited, exact input reality leaves."""
+
+import functools as ft
+from typing import Any, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import (
+    is_traced,
+    require,
+    require_finite,
+    require_nonnegative,
+    require_positive,
+    show,
+)
+from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
+from qsmc_jax.control.control import Beyond
+from qsmc_jax.implementation.actuators import AbstractActuator
+from qsmc_jax.implementation.keyed import uniforms
+from qsmc_jax.implementation.noises import AbstractNoise
+from qsmc_jax.model.disturbances import AbstractDisturbance
+from qsmc_jax.model.disturbances.disturbance import require_disturbances
+
+
+class Jitter(AbstractModule):
+    """Samples that come late by a random part of the period, independent from sample to sample.
+
+    Attributes:
+        fraction: Largest delay of a sample, as a fraction of the period [-], in [0, 1).
+        seed: The realisation, a number in [0, 1).
+    """
+
+    fraction: Float[Array, ""] = float_field()
+    seed: Float[Array, ""] = float_field(default=0.0)
+
+    def __check_init__(self):
+        if not is_traced(self.fraction):
+            ok = bool(0.0 <= self.fraction < 1.0)
+            require(ok, f"Argument `fraction` must be in [0, 1), but is {show(self.fraction)}.")
+
+    def __call__(self, k: RealScalarLike) -> RealScalarLike:
+        """By how much sample k is late, in periods [-]."""
+        return 0.5 * self.fraction * (1.0 + uniforms(self.seed, k, 1)[0])
+
+
+class GainFault(AbstractModule):
+    """A gain that is not what it should be for a while: g is multiplied by a factor on [start, end).
+
+    Attributes:
+        start: When it begins [s].
+        end: When it ends [s].
+        factor: The factor [-]: -1 for a loss of sign, 0 for a loss of the input.
+    """
+
+    start: Float[Array, ""] = float_field()
+    end: Float[Array, ""] = float_field()
+    factor: Float[Array, ""] = float_field(default=-1.0)
+
+    def __check_init__(self):
+        for name in ("start", "end", "factor"):
+            require_finite(name, getattr(self, name))
+        if not is_traced(self.start, self.end):
+            ok = bool(self.start <= self.end)
+            require(ok, f"Argument `end` must not be before `start` = {show(self.start)}, but is {show(self.end)}.")
+
+    def __call__(self, t: RealScalarLike) -> RealScalarLike:
+        """The factor on g at time t."""
+        return jnp.where((t >= self.start) & (t < self.end), self.factor, 1.0)
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        """When it begins and ends."""
+        return jnp.stack([jnp.asarray(self.start, float), jnp.asarray(self.end, float)])
+
+
+class Implementation(AbstractModule):
+    r"""A controller in a computer: sampled, and, as far as asked for, late, limited, coarse, noisy and slow.
+
+    At the instant $t_k = (k + j_k)\tau$ the controller has the states as they were `measurement_delay` before (at
+    time 0 at the earliest), plus noise, rounded; the reference and the funnel it knows exactly. From them it computes a
+    command, which is rounded, saturated and limited in its rate, in this order. The command arrives at the actuator
+    `delay` later and is held until the next one. Before the first arrives, it is 0. Everything but the period is off by
+    default, at no cost; every number may be drawn.
+
+    Attributes:
+        sample_period: The period $\tau$ [s] of the zero-order hold, positive.
+        jitter: How late samples come.
+        delay: Time [s] from a sample to the input it leads to: of computation or transport; any number, not negative.
+        measurement_delay: Age [s] of what is measured, not negative.
+        saturation: Largest absolute command, positive.
+        rate_limit: Largest change of the command per time, positive; before the first sample it was 0.
+        measurement_resolution: Steps to which the states are rounded, n numbers, not negative; 0 for none.
+        input_resolution: Step to which the command is rounded, not negative; 0 for none.
+        noise: Noise on the measured states.
+        actuator: The lag between the command and the plant's input.
+        gain_fault: A gain that is wrong for a while.
+        unmatched: Disturbances of the first n - 1 states, $\dot x_i = x_{i+1} + d_i(t)$, which the paper excludes; n - 1
+            of them, or none.
+        beyond: What the law does outside the funnel, where the paper does not define it: `"saturate"` (it holds the
+            value it has just inside) or `"wrap"` (a fault: the tangent as it stands, which points the wrong way).
+        cutoff: Angular frequency [rad/s] above which power of the input counts as high-frequency, positive; None stands
+            for five times the faster of mu and the surface's mean rate.
+        queue: Samples under way from measurement to input at most; a longer total delay leaves the run UNDECIDED.
+
+    Raises:
+        ValueError: A number is out of range, or a part is of the wrong kind.
+    """
+
+    sample_period: Float[Array, ""] = float_field()
+    jitter: Jitter | None = None
+    delay: Float[Array, ""] | None = float_field(default=None)
+    measurement_delay: Float[Array, ""] | None = float_field(default=None)
+    saturation: Float[Array, ""] | None = float_field(default=None)
+    rate_limit: Float[Array, ""] | None = float_field(default=None)
+    measurement_resolution: Float[Array, " n"] | None = float_field(default=None)
+    input_resolution: Float[Array, ""] | None = float_field(default=None)
+    noise: AbstractNoise | None = None
+    actuator: AbstractActuator | None = None
+    gain_fault: GainFault | None = None
+    unmatched: tuple[AbstractDisturbance, ...] = eqx.field(converter=tuple, default=())
+    beyond: Beyond = eqx.field(static=True, default="saturate")
+    cutoff: Float[Array, ""] | None = float_field(default=None)
+    queue: int = eqx.field(static=True, default=16)
+
+    def __check_init__(self):
+        for name in _POSITIVE:
+            if getattr(self, name) is not None:
+                require_positive(name, getattr(self, name))
+        for name in _NOT_NEGATIVE:
+            if getattr(self, name) is not None:
+                require_nonnegative(name, getattr(self, name))
+        for name, kind in _PARTS.items():
+            part = getattr(self, name)
+            ok = part is None or isinstance(part, kind)
+            require(ok, f"Argument `{name}` must be {_KINDS[name]} or None, but is {part!r}.")
+        if self.unmatched:
+            require_disturbances("unmatched", self.unmatched)
+        known = get_args(Beyond)
+        require(self.beyond in known, f"Argument `beyond` must be one of {list(known)}, but is {self.beyond!r}.")
+        require(self.queue >= 1, f"Argument `queue` must be at least 1, but is {self.queue}.")
+
+    @property
+    def is_late(self) -> bool:
+        """Whether commands arrive later than they are measured for, and so have to be kept."""
+        return self.delay is not None or self.measurement_delay is not None
+
+    def instant(self, k: RealScalarLike) -> RealScalarLike:
+        """The time [s] of sample k = 0, 1, ..."""
+        late = 0.0 if self.jitter is None else self.jitter(k)
+        return (k + late) * self.sample_period
+
+    def measured(self, x: Scalars, t: RealScalarLike, k: RealScalarLike) -> Scalars:
+        """What is read of the state `x` in sample `k` at time `t`: with noise, then rounded."""
+        if self.noise is not None:
+            x = tuple(xi + noise for xi, noise in zip(x, self.noise(t, k), strict=True))
+        if self.measurement_resolution is not None:
+            x = tuple(_rounded(xi, self.measurement_resolution[i]) for i, xi in enumerate(x))
+        return x
+
+    def limited(self, command: RealScalarLike, last: RealScalarLike) -> RealScalarLike:
+        """The command that is sent, given what the law wants and what was sent last."""
+        if self.input_resolution is not None:
+            command = _rounded(command, self.input_resolution)
+        if self.saturation is not None:
+            command = jnp.clip(command, -self.saturation, self.saturation)
+        if self.rate_limit is not None:
+            reach = self.rate_limit * self.sample_period
+            command = jnp.clip(command, last - reach, last + reach)
+        return command
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        """Times [s] at which something jumps or kinks that is not a sample."""
+        parts = [signal.break_times for signal in self.unmatched]
+        parts += [] if self.gain_fault is None else [self.gain_fault.break_times]
+        return jnp.concatenate([jnp.zeros((0,)), *parts])
+
+    def is_valid(self, horizon: RealScalarLike) -> BoolScalarLike:
+        """Whether every number is in range, and no delay longer than the horizon: as checked, for traced ones."""
+        claims = [getattr(self, name) > 0.0 for name in _POSITIVE if getattr(self, name) is not None]
+        claims += [jnp.all(getattr(self, name) >= 0.0) for name in _NOT_NEGATIVE if getattr(self, name) is not None]
+        claims += [getattr(self, name) <= horizon for name in _DELAYS if getattr(self, name) is not None]
+        claims += [] if self.actuator is None else [self.actuator.is_valid()]
+        return ft.reduce(jnp.logical_and, claims)
+
+    def check(self, order: int, horizon: RealScalarLike) -> None:
+        """Raises `ValueError` unless it fits a plant of the given order and a horizon [s]; traced numbers pass."""
+        counts = {
+            "measurement_resolution": None
+            if self.measurement_resolution is None
+            else np.shape(self.measurement_resolution)[0],
+            "noise": None if self.noise is None else np.shape(self.noise.bounds)[0],
+            "unmatched": len(self.unmatched) + 1 if self.unmatched else None,
+        }
+        for name, count in counts.items():
+            ok = count in (None, order)
+            require(ok, f"Argument `{name}` must fit a plant of order {order}, but is for order {count}.")
+        for name in _DELAYS:
+            delay = getattr(self, name)
+            if delay is not None and not is_traced(delay, horizon):
+                require(
+                    bool(delay <= horizon),
+                    f"Argument `{name}` must not be longer than the horizon of {show(horizon)} s, but is {show(delay)}.",
+                )
+
+
+_POSITIVE = ("sample_period", "saturation", "rate_limit", "cutoff")
+_NOT_NEGATIVE = ("delay", "measurement_delay", "measurement_resolution", "input_resolution")
+_DELAYS = ("delay", "measurement_delay")
+_PARTS = {"jitter": Jitter, "noise": AbstractNoise, "actuator": AbstractActuator, "gain_fault": GainFault}
+_KINDS = {
+    "jitter": "a `Jitter`",
+    "noise": "one of `qsmc_jax.noises`",
+    "actuator": "one of `qsmc_jax.actuators` (`FirstOrderLag`, `SecondOrderLag`)",
+    "gain_fault": "a `GainFault`",
+}
+
+
+def random_jitter(draw: Draw, name: str, fraction: RealScalarLike) -> Jitter:
+    """Jitter of up to the given fraction of the period; the realisation is drawn as `<name>.seed`."""
+    return Jitter(fraction, draw.uniform(f"{name}.seed", 0.0, 1.0))
+
+
+def _rounded(value: RealScalarLike, step: Any) -> RealScalarLike:
+    """To the nearest multiple of `step`; as it is if that is 0."""
+    is_on = step > 0.0
+    size = jnp.where(is_on, step, 1.0)
+    return jnp.where(is_on, jnp.round(value / size) * size, value)

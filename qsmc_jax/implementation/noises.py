@@ -1,0 +1,127 @@
+"""Measurement noise: what the controller reads is the state plus this, one number for each state."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require_nonnegative
+from qsmc_jax.base.module import AbstractModule, as_float64, float_field
+from qsmc_jax.base.types import Draw, RealScalarLike, Scalars
+from qsmc_jax.implementation.keyed import normals, uniforms
+from qsmc_jax.model.disturbances import AbstractDisturbance, random_sines
+from qsmc_jax.model.disturbances.disturbance import require_disturbances
+
+
+class AbstractNoise(AbstractModule):
+    """Noise on the measured states, fixed for a run: a run can be solved again, noise and all.
+
+    Attributes:
+        bounds: A bound on the absolute noise of each state, n numbers; `inf` if there is none.
+    """
+
+    bounds: eqx.AbstractVar[Float[Array, " n"]]
+
+    @abc.abstractmethod
+    def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
+        """The noise on each state in sample `k` = 0, 1, ..., taken at time `t` [s]; in units of the state."""
+
+
+class White(AbstractNoise):
+    """Gaussian, independent from sample to sample and from state to state.
+
+    Attributes:
+        std: Standard deviation for each state, not negative.
+        seed: The realisation, a number in [0, 1).
+    """
+
+    std: Float[Array, " n"] = float_field()
+    seed: Float[Array, ""] = float_field(default=0.0)
+
+    def __check_init__(self):
+        require_nonnegative("std", self.std)
+
+    def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
+        return _scaled(self.std, normals(self.seed, k, np.shape(self.std)[0]))
+
+    @property
+    def bounds(self) -> Float[Array, " n"]:
+        return jnp.where(self.std > 0.0, jnp.inf, 0.0)
+
+
+class Uniform(AbstractNoise):
+    """Uniform between the bounds, independent from sample to sample and from state to state.
+
+    Attributes:
+        bounds: Largest absolute noise on each state, not negative.
+        seed: The realisation, a number in [0, 1).
+    """
+
+    bounds: Float[Array, " n"] = float_field()
+    seed: Float[Array, ""] = float_field(default=0.0)
+
+    def __check_init__(self):
+        require_nonnegative("bounds", self.bounds)
+
+    def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
+        return _scaled(self.bounds, uniforms(self.seed, k, np.shape(self.bounds)[0]))
+
+
+class Signals(AbstractNoise):
+    """A bounded function of time for each state: coloured, or as smooth as one likes.
+
+    Attributes:
+        signals: One signal a state; any disturbance will do. `Zero()` for a state that is read exactly.
+    """
+
+    signals: tuple[AbstractDisturbance, ...] = eqx.field(converter=tuple)
+
+    def __check_init__(self):
+        require_disturbances("signals", self.signals)
+
+    def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
+        return tuple(signal(t) for signal in self.signals)
+
+    @property
+    def bounds(self) -> Float[Array, " n"]:
+        return jnp.stack([jnp.asarray(signal.bound, float) for signal in self.signals])
+
+
+def white(draw: Draw, name: str, std: Sequence[Any] | np.ndarray | Array) -> White:
+    """White Gaussian noise of the given standard deviations; the realisation is drawn as `<name>.seed`."""
+    return White(as_float64(std), draw.uniform(f"{name}.seed", 0.0, 1.0))
+
+
+def uniform(draw: Draw, name: str, bounds: Sequence[Any] | np.ndarray | Array) -> Uniform:
+    """White noise between the given bounds; the realisation is drawn as `<name>.seed`."""
+    return Uniform(as_float64(bounds), draw.uniform(f"{name}.seed", 0.0, 1.0))
+
+
+def coloured(
+    draw: Draw,
+    name: str,
+    bounds: Sequence[Any] | np.ndarray | Array,
+    terms: int = 8,
+    frequencies: tuple[float, float] = (1.0, 100.0),
+) -> Signals:
+    """Smooth noise with sharp bounds: for each state a sum of sines with random weights, frequencies and phases.
+
+    Args:
+        draw: The scenario's source of named numbers.
+        name: Prefix of the names `[i].amplitude`, `[i].frequency` [rad/s], `[i].phase` [rad].
+        bounds: Largest absolute noise on each state, not negative.
+        terms: Number of sines a state, at least 1.
+        frequencies: Lowest and highest angular frequency [rad/s], log-uniform between.
+    """
+    bounds = as_float64(bounds)
+    require_nonnegative("bounds", bounds)
+    signals = (random_sines(draw, f"{name}[{i}]", 1.0, terms, frequencies) for i in range(bounds.shape[0]))
+    return Signals(tuple(bounds[i] * signal for i, signal in enumerate(signals)))
+
+
+def _scaled(scales: Float[Array, " n"], values: Scalars) -> Scalars:
+    return tuple(scales[i] * value for i, value in enumerate(values))

@@ -1,0 +1,100 @@
+"""A loop at one instant, as far as the input has no say in it; and one open-loop cell, from an instant to a later one."""
+
+import jax.numpy as jnp
+
+from qsmc_jax.base.hermite import Cubic
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.loop import ClosedLoop, Terms
+
+
+class Instant(AbstractModule):
+    r"""Where a loop is, and what moves it apart from the input.
+
+    Attributes:
+        t: Time [s].
+        x: State, n scalars.
+        terms: What moves the plant.
+        errors: $e^{(0)} \dots e^{(n-1)}$.
+        drift: The errors' rates under no input.
+        sigma: Sliding variable.
+        residual: $w$ in $\dot\sigma = w + g u$.
+        rho: Half-width of the funnel.
+        rho_rate: Its rate.
+    """
+
+    t: RealScalarLike
+    x: Scalars
+    terms: Terms
+    errors: Scalars
+    drift: Scalars
+    sigma: RealScalarLike
+    residual: RealScalarLike
+    rho: RealScalarLike
+    rho_rate: RealScalarLike
+
+    def sigma_rate(self, u: RealScalarLike) -> RealScalarLike:
+        """The rate of the sliding variable under the input u."""
+        return self.residual + self.terms.gain * u
+
+    def error_rates(self, u: RealScalarLike) -> Scalars:
+        """The rates of the errors under the input u."""
+        return (*self.drift[:-1], self.drift[-1] + self.terms.gain * u)
+
+    @property
+    def equivalent_input(self) -> RealScalarLike:
+        r"""$u_{eq} = -w / g$, which would hold the sliding variable where it is; 0 where g is."""
+        has_gain = self.terms.gain != 0.0
+        return jnp.where(has_gain, -self.residual / jnp.where(has_gain, self.terms.gain, 1.0), 0.0)
+
+
+def at_instant(loop: ClosedLoop, t: RealScalarLike, x: Scalars) -> Instant:
+    """The loop at time t and state x."""
+    terms, desired = loop.terms(t, x), loop.desired(t)
+    errors = tuple(xi - di for xi, di in zip(x, desired, strict=False))
+    drift = tuple(rate - di for rate, di in zip(loop.rates(terms, x, 0.0), desired[1:], strict=True))
+    surface, (rho, rho_rate) = loop.control.surface, loop.control.funnel.width_and_rate(t)
+    return Instant(t, x, terms, errors, drift, surface(errors), surface(drift), rho, rho_rate)
+
+
+class Cell(AbstractModule):
+    """A stretch of time in which nothing jumps: the loop is open and smooth.
+
+    Attributes:
+        left: Its beginning.
+        right: Its end.
+        u0: The plant's input at its beginning.
+        middle: The plant's input at its middle.
+        u1: The plant's input at its end.
+    """
+
+    left: Instant
+    right: Instant
+    u0: RealScalarLike
+    middle: RealScalarLike
+    u1: RealScalarLike
+
+    @property
+    def length(self) -> RealScalarLike:
+        """Its length [s]."""
+        return self.right.t - self.left.t
+
+    def sigma(self) -> Cubic:
+        """The sliding variable in it."""
+        left, right, h = self.left, self.right, self.length
+        return Cubic(left.sigma, right.sigma, h * left.sigma_rate(self.u0), h * right.sigma_rate(self.u1))
+
+    def errors(self) -> list[Cubic]:
+        """Each error in it."""
+        left, right, h = self.left, self.right, self.length
+        slopes = zip(left.error_rates(self.u0), right.error_rates(self.u1), strict=True)
+        ends = zip(left.errors, right.errors, strict=True)
+        return [Cubic(e0, e1, h * m0, h * m1) for (e0, e1), (m0, m1) in zip(ends, slopes, strict=True)]
+
+    def ratio(self) -> Cubic:
+        r"""$z = \sigma/\rho$ in it, with $\dot z = (\dot\sigma - z \dot\rho)/\rho$."""
+        left, right, h, sigma = self.left, self.right, self.length, self.sigma()
+        z0, z1 = left.sigma / left.rho, right.sigma / right.rho
+        m0 = (sigma.m0 - h * z0 * left.rho_rate) / left.rho
+        m1 = (sigma.m1 - h * z1 * right.rho_rate) / right.rho
+        return Cubic(z0, z1, m0, m1)

@@ -1,0 +1,126 @@
+"""From the end of a sampled run to what a user reads: outcome, verdict per claim, and its figures."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.simulation.figures import Figures, SampledFigures, last_outside
+from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.sampled_loop import Course
+from qsmc_jax.simulation.tally import Problem
+
+
+def read_sampled_figures(
+    problem: Problem, refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, course: Course
+) -> Figures:
+    """Outcome first, then the verdicts, then the figures: those of an unfinished run are masked.
+
+    A run that left the funnel is followed further, unless it is lost: its figures are those of the whole run.
+    """
+    cells, end_time = course.cells, course.now.t
+    outcome = _outcome(refused, horizon, max_steps, course)
+    is_complete, is_lost = outcome == Outcome.COMPLETED, outcome == Outcome.LOST
+    reach_time = last_outside(cells.outside, problem.bandwidth, end_time)
+    recovery_time = last_outside(cells.last_exit, 1.0, end_time)
+    settle_time = jnp.where(cells.unsettled_time >= end_time, jnp.inf, cells.unsettled_time)
+    verdict, reaching, tracking = _verdicts(problem, outcome, horizon, course, reach_time, settle_time)
+    steady = end_time - problem.reaching_time
+    is_steady = is_complete & (steady > 0.0)
+
+    def known(value: RealScalarLike, where_lost: RealScalarLike = jnp.nan) -> Float[Array, ""]:
+        return jnp.where(is_complete, value, jnp.where(is_lost, where_lost, jnp.nan))
+
+    def known_steady(value: RealScalarLike) -> Float[Array, ""]:
+        return jnp.where(is_steady, value, jnp.nan)
+
+    return Figures(
+        verdict=verdict,
+        verdict_reaching=reaching,
+        verdict_tracking=tracking,
+        outcome=outcome,
+        end_time=end_time,
+        peak_ratio=known(cells.peak_ratio, cells.peak_ratio),
+        margin=known(1.0 - cells.peak_ratio, 1.0 - cells.peak_ratio),
+        peak_time=known(cells.peak_time, cells.peak_time),
+        peak_u=known(cells.peak_u, cells.peak_u),
+        peak_u_bound=jnp.full((), jnp.nan),
+        reach_time=known(reach_time, jnp.inf),
+        violation_time=_violation_time(course),
+        settle_time=known(settle_time, jnp.inf),
+        peak_errors=tuple(known_steady(peak) for peak in cells.peak_errors),
+        rms_error=known(jnp.sqrt(cells.squared_error / jnp.where(is_complete, end_time, 1.0))),
+        energy_u=known(cells.energy),
+        total_variation_u=known(cells.total_variation),
+        least_gain=cells.least_gain,
+        largest_disturbance=cells.largest_disturbance,
+        steps=course.steps.astype(int),
+        sampled=SampledFigures(
+            recovery_time=known(recovery_time, jnp.inf),
+            peak_excess=known(cells.peak_excess, cells.peak_excess),
+            excess_variation_u=known_steady(cells.steady_variation - cells.equivalent_variation),
+            reversal_rate=known_steady(course.commands.reversals.count / jnp.where(is_steady, steady, 1.0)),
+            high_frequency_ratio=known_steady(_ratio(cells.filter.high_power, cells.filter.power)),
+            peak_rate_u=known_steady(course.commands.peak_rate),
+        ),
+    )
+
+
+def _outcome(refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, course: Course) -> Int[Array, ""]:
+    """The code of how the run ended."""
+    z = jnp.abs(course.now.sigma) / course.now.rho
+    code, is_open = refused, refused == Outcome.COMPLETED
+    for applies, outcome in (
+        (course.now.t >= horizon, Outcome.COMPLETED),
+        (course.computer.has_overflown, Outcome.QUEUE_FULL),
+        (z >= course.farthest, Outcome.LOST),
+        (course.steps >= max_steps, Outcome.MAX_STEPS),
+        (jnp.array(True), Outcome.STEP_TOO_SMALL),
+    ):
+        code = jnp.where(is_open & applies, int(outcome), code)
+        is_open = is_open & ~applies
+    return code
+
+
+def _verdicts(
+    problem: Problem,
+    outcome: Int[Array, ""],
+    horizon: RealScalarLike,
+    course: Course,
+    reach_time: RealScalarLike,
+    settle_time: RealScalarLike,
+) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
+    """The verdicts on the three claims of Theorem 1, each on its own: a run may leave the funnel and still reach its end.
+
+    A run that was lost has broken all three; one that could not be finished decides only the first, and only if it has
+    left the funnel. Tracking is a limit, as in the ideal loop.
+    """
+    held, violated, undecided, inadmissible = (int(verdict) for verdict in Verdict)
+    is_complete = outcome == Outcome.COMPLETED
+    unfinished = jnp.where(outcome == Outcome.LOST, violated, undecided)
+    has_left = course.cells.first_exit.length > 0.0
+    funnel = jnp.where(has_left, violated, jnp.where(is_complete, held, unfinished))
+    reached = jnp.where(reach_time < problem.reaching_time, held, violated)
+    reached = jnp.where(horizon > problem.reaching_time, reached, undecided)
+    reaching = jnp.where(is_complete, reached, unfinished)
+    left_over = jnp.where(reaching == held, undecided, reaching)
+    tracking = jnp.where(is_complete & jnp.isfinite(settle_time), held, left_over)
+    is_premise_met = (outcome != Outcome.BAD_PARAMETERS) & ~course.starts_outside
+    admits = is_premise_met & problem.loop.control.funnel.admits(problem.bandwidth)
+    return (
+        jnp.where(is_premise_met, funnel, inadmissible),
+        jnp.where(admits, reaching, inadmissible),
+        jnp.where(admits, tracking, inadmissible),
+    )
+
+
+def _violation_time(course: Course) -> Float[Array, ""]:
+    """When the run first left the funnel: inf if it did not."""
+    exit_ = course.cells.first_exit
+    crossed = exit_.start + exit_.sigma.first_ascent(1.0) * exit_.length
+    time = jnp.where(exit_.length > 0.0, crossed, jnp.inf)
+    return jnp.where(course.starts_outside, 0.0, time)
+
+
+def _ratio(part: RealScalarLike, whole: RealScalarLike) -> Float[Array, ""]:
+    has_power = jnp.asarray(whole > 0.0)
+    return jnp.where(has_power, part / jnp.where(has_power, whole, 1.0), 0.0)

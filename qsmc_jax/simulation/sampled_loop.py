@@ -1,0 +1,330 @@
+"""The loop of an implemented controller: open between events, at which something is sampled, arrives or jumps.
+
+Between events the plant's right-hand side is smooth (the feedback stands still), so an explicit method is always right,
+and the tangent's pole, which no step can jump over here, is met by the law alone, which says what it does there. Every
+cell ends at the next event at the latest, each run at its own; cells are shorter only where the plant itself asks for it.
+"""
+
+import dataclasses
+from typing import Any
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from qsmc_jax.base import trees
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.control.control import Sample
+from qsmc_jax.implementation.implementation import Implementation
+from qsmc_jax.simulation.explicit import explicit_stages, weighted
+from qsmc_jax.simulation.instant import Cell, Instant, at_instant
+from qsmc_jax.simulation.sampled_tally import (
+    CellTally,
+    CommandTally,
+    add_cell,
+    add_command,
+    first_cell_tally,
+    first_command_tally,
+)
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.tally import Problem
+
+# Bogacki and Shampine's pair of order 3(2): between samples, cells are short anyhow.
+_TABLEAU = dfx.Bosh3.tableau
+# A run is lost once it is this many funnel widths away, or this many times as far as it started.
+_LOST = 1000.0
+_SHRINKS_BY, _GROWS_BY, _SAFETY = 0.2, 5.0, 0.9
+_FIRST_STEP, _SHORTEST_STEP = 1e-2, 1e-14  # of the horizon
+
+
+class Computer(AbstractModule):
+    """The controller's side: what it keeps, and the commands under way.
+
+    Attributes:
+        memory: The law's own memory.
+        sent: The last command computed.
+        held: The command that the actuator has.
+        sample: Number of the next sample.
+        arrival: Number of the next command to arrive.
+        queue: Commands under way, that of sample k at k modulo the length; None if none are ever.
+        has_overflown: Whether more commands were under way than the queue holds.
+    """
+
+    memory: Scalars
+    sent: RealScalarLike
+    held: RealScalarLike
+    sample: RealScalarLike
+    arrival: RealScalarLike
+    queue: Float[Array, " queue"] | None
+    has_overflown: Bool[Array, ""]
+
+
+class Saved(AbstractModule):
+    """States and inputs at the times asked for, and how many there are so far."""
+
+    x: tuple[Float[Array, " times"], ...]
+    u: Float[Array, " times"]
+    count: Any
+
+
+class Course(AbstractModule):
+    """Everything that a run carries from cell to cell.
+
+    Attributes:
+        now: Where the loop is.
+        actuator: State of the actuator; empty if there is none.
+        computer: The controller's side.
+        step: Length [s] of the longest cell that the tolerance allows, as far as is known.
+        steps: Cells tried so far.
+        is_running: Whether the run goes on.
+        starts_outside: Whether it started outside the funnel.
+        farthest: How far out, in funnel widths, it counts as lost.
+        cells: Figures of the plant.
+        commands: Figures of the commands.
+        saved: States and inputs at the times asked for.
+    """
+
+    now: Instant
+    actuator: Scalars
+    computer: Computer
+    step: RealScalarLike
+    steps: RealScalarLike
+    is_running: Bool[Array, ""]
+    starts_outside: Bool[Array, ""]
+    farthest: RealScalarLike
+    cells: CellTally
+    commands: CommandTally
+    saved: Saved | None
+
+
+class Plan(AbstractModule):
+    """What stays the same from cell to cell."""
+
+    problem: Problem
+    implementation: Implementation
+    horizon: RealScalarLike
+    breaks: Float[Array, " breaks"]
+    cutoff: RealScalarLike
+    rtol: RealScalarLike
+    max_steps: int
+    ts: Float[Array, " times"] | None
+
+
+def run_sampled(
+    problem: Problem,
+    x0: Scalars,
+    horizon: RealScalarLike,
+    is_admitted: BoolScalarLike,
+    settings: SolverSettings,
+    ts: Float[Array, " times"] | None,
+) -> Course:
+    """Runs a loop with an implementation to the horizon, as far as it gets.
+
+    Args:
+        problem: The loop and its thresholds.
+        x0: The start, n scalars.
+        horizon: The horizon [s].
+        is_admitted: Whether there is anything to run; if not, no step is taken.
+        settings: `rtol` (of the sliding variable, relative to the funnel) and `max_steps`.
+        ts: Times [s] at which to save states and inputs, or None.
+    """
+    plan = _plan(problem, horizon, settings, ts)
+    implementation, zero = plan.implementation, jnp.zeros(())
+    start = jax.tree.map(jnp.asarray, at_instant(problem.loop, zero, tuple(map(jnp.asarray, x0))))
+    distance = jnp.abs(start.sigma) / start.rho
+    computer = Computer(
+        memory=tuple(map(jnp.asarray, problem.loop.control.first_memory())),
+        sent=zero,
+        held=zero,
+        sample=zero,
+        arrival=zero,
+        queue=jnp.zeros((implementation.queue,)) if implementation.is_late else None,
+        has_overflown=jnp.array(False),
+    )
+    first = Course(
+        now=start,
+        actuator=() if implementation.actuator is None else implementation.actuator.rest(),
+        computer=computer,
+        step=_FIRST_STEP * horizon,
+        steps=zero,
+        is_running=jnp.asarray(is_admitted),
+        starts_outside=distance >= 1.0,
+        farthest=_LOST * jnp.maximum(1.0, distance),
+        cells=first_cell_tally(problem, start),
+        commands=first_command_tally(),
+        saved=None if ts is None else Saved((jnp.zeros_like(ts),) * len(x0), jnp.zeros_like(ts), jnp.array(0)),
+    )
+    return jax.lax.while_loop(lambda course: course.is_running, lambda course: _advance(plan, course), first)
+
+
+def _plan(
+    problem: Problem, horizon: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
+) -> Plan:
+    loop = problem.loop
+    implementation, funnel = loop.implementation, loop.control.funnel
+    assert implementation is not None  # the caller's business
+    # A cell ends just before a jump, and the next one, of no length, takes it.
+    breaks = jnp.append(loop.break_times, problem.reaching_time)
+    breaks = jnp.concatenate([jnp.nextafter(breaks, -jnp.inf), breaks])
+    degree = loop.order - 1
+    rate = funnel.mu if degree == 0 else jnp.maximum(funnel.mu, jnp.abs(loop.control.surface.c[0]) ** (1.0 / degree))
+    cutoff = 5.0 * rate if implementation.cutoff is None else implementation.cutoff
+    return Plan(problem, implementation, horizon, breaks, cutoff, settings.rtol, settings.max_steps, ts)
+
+
+def _advance(plan: Plan, course: Course) -> Course:
+    """One cell further, or a shorter try at the same one; then whatever happens at its end."""
+    event, end = _next_event(plan, course)
+    cell, actuator, error = _cross(plan, course, end)
+    is_good = error <= 1.0
+    h, tried = cell.length, course.step
+    wanted = h * _step_factor(error)
+    step = jnp.where(is_good & (h < tried), jnp.maximum(tried, wanted), wanted)
+    cells = add_cell(plan.problem, plan.cutoff, course.cells, cell)
+    counted = dataclasses.replace(course, step=step, steps=course.steps + 1.0)
+    arrived = dataclasses.replace(counted, now=cell.right, actuator=actuator, cells=cells)
+    return _judged(plan, _handle(plan, trees.where(is_good, arrived, counted), is_good & (end >= event)))
+
+
+def _next_event(plan: Plan, course: Course) -> tuple[RealScalarLike, RealScalarLike]:
+    """The time of the next event, and where the next cell ends: there, or at the end of one of equal parts."""
+    t, implementation, computer = course.now.t, plan.implementation, course.computer
+    event = jnp.minimum(plan.horizon, _capture_time(plan, course))
+    if implementation.is_late:
+        event = jnp.minimum(event, jnp.where(computer.arrival < computer.sample, _arrival_time(plan, course), jnp.inf))
+    event = jnp.minimum(event, jnp.min(jnp.where(plan.breaks > t, plan.breaks, jnp.inf)))
+    if plan.ts is not None:
+        event = jnp.minimum(event, _save_time(plan, course))
+    left = event - t
+    parts = jnp.ceil(left / course.step)
+    return event, jnp.where(parts <= 1.0, event, t + left / jnp.maximum(parts, 1.0))
+
+
+def _capture_time(plan: Plan, course: Course) -> RealScalarLike:
+    """When the states of the next sample are measured: not before now."""
+    instant = plan.implementation.instant(course.computer.sample)
+    age = plan.implementation.measurement_delay
+    return jnp.maximum(instant if age is None else instant - age, course.now.t)
+
+
+def _arrival_time(plan: Plan, course: Course) -> RealScalarLike:
+    """When the next command arrives at the actuator: not before now."""
+    instant, delay = plan.implementation.instant(course.computer.arrival), plan.implementation.delay
+    return jnp.maximum(instant if delay is None else instant + delay, course.now.t)
+
+
+def _save_time(plan: Plan, course: Course) -> RealScalarLike:
+    assert plan.ts is not None and course.saved is not None
+    count = course.saved.count
+    is_left = count < plan.ts.shape[0]
+    return jnp.where(is_left, plan.ts[jnp.minimum(count, plan.ts.shape[0] - 1)], jnp.inf)
+
+
+def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scalars, RealScalarLike]:
+    """The cell from now to `end`, the actuator there, and the estimated error in units of what is allowed."""
+    loop, now = plan.problem.loop, course.now
+
+    def actuator_at(t: RealScalarLike) -> Scalars:
+        actuator = plan.implementation.actuator
+        return () if actuator is None else actuator.move(course.actuator, course.computer.held, t - now.t)
+
+    def input_at(t: RealScalarLike) -> RealScalarLike:
+        return course.computer.held if plan.implementation.actuator is None else actuator_at(t)[0]
+
+    def field(t: RealScalarLike, x: Scalars) -> Scalars:
+        return loop.rates(loop.terms(t, x), x, input_at(t))
+
+    u0 = course.actuator[0] if course.actuator else course.computer.held
+    first = loop.rates(now.terms, now.x, u0)
+    x1, stages = explicit_stages(_TABLEAU, field, now.t, end, now.x, first)
+    x1 = plan.problem.fence(x1)
+    right = at_instant(loop, end, x1)
+    h = end - now.t
+    errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
+    allowed = plan.rtol * (right.rho + jnp.abs(right.sigma))
+    error = errors / allowed
+    error = jnp.where(jnp.isfinite(error), error, jnp.inf)
+    return Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end)), actuator_at(end), error
+
+
+def _step_factor(error: RealScalarLike) -> RealScalarLike:
+    """By how much the next step may be longer: a fourth root where a third would do, and roots are cheap."""
+    root = jnp.sqrt(jnp.maximum(error, 1e-8))
+    gentle = _SAFETY / jnp.sqrt(root)
+    return jnp.clip(jnp.where(error > 1.0, _SAFETY / root, gentle), _SHRINKS_BY, _GROWS_BY)
+
+
+def _handle(plan: Plan, course: Course, has_event: BoolScalarLike) -> Course:
+    """What happens at the end of a cell: a command arrives, a sample is taken, a state is saved."""
+    t, implementation = course.now.t, plan.implementation
+    computer, commands = course.computer, course.commands
+    if implementation.is_late:
+        arrives = has_event & (computer.arrival < computer.sample) & (t >= _arrival_time(plan, course))
+        place = (computer.arrival % implementation.queue).astype(int)
+        computer = dataclasses.replace(
+            computer,
+            held=jnp.where(arrives, computer.queue[place], computer.held),
+            arrival=jnp.where(arrives, computer.arrival + 1.0, computer.arrival),
+        )
+    samples = has_event & (t >= _capture_time(plan, course))
+    sampled, tallied = _sample(plan, course, computer)
+    computer = trees.where(samples, sampled, computer)
+    commands = trees.where(samples, tallied, commands)
+    course = dataclasses.replace(course, computer=computer, commands=commands)
+    return course if course.saved is None else _save(plan, course, has_event & (t >= _save_time(plan, course)))
+
+
+def _sample(plan: Plan, course: Course, computer: Computer) -> tuple[Computer, CommandTally]:
+    """The computer after one more sample, and the figures of its commands."""
+    loop, implementation, now, k = plan.problem.loop, plan.implementation, course.now, computer.sample
+    if implementation.measurement_delay is None:
+        t, desired, rho = now.t, None, now.rho
+    else:
+        t = implementation.instant(k)
+        desired, rho = loop.desired(t), loop.control.funnel(t)
+    is_exact = implementation.noise is None and implementation.measurement_resolution is None
+    if is_exact and desired is None:
+        sigma = now.sigma
+    else:
+        desired = loop.desired(t) if desired is None else desired
+        measured = implementation.measured(now.x, t, k)
+        sigma = loop.control.surface(tuple(x - d for x, d in zip(measured, desired, strict=False)))
+    desired = loop.desired(t) if desired is None else desired
+    sample = Sample(t, implementation.sample_period, sigma, rho, desired, implementation.beyond)
+    wanted, memory = loop.control.command(sample, computer.memory)
+    command = plan.problem.fence(implementation.limited(wanted, computer.sent))
+    is_steady = t >= plan.problem.reaching_time
+    tallied = add_command(course.commands, command, computer.sent, implementation.sample_period, is_steady)
+    new = dataclasses.replace(computer, memory=memory, sent=command, sample=k + 1.0)
+    if computer.queue is None:
+        return dataclasses.replace(new, held=command), tallied
+    place = (k % implementation.queue).astype(int)
+    is_full = k - computer.arrival >= implementation.queue
+    queue, has_overflown = computer.queue.at[place].set(command), computer.has_overflown | is_full
+    return dataclasses.replace(new, queue=queue, has_overflown=has_overflown), tallied
+
+
+def _save(plan: Plan, course: Course, is_time: BoolScalarLike) -> Course:
+    """The signals at the time asked for, after whatever happened at it."""
+    saved = course.saved
+    assert saved is not None
+    u = course.actuator[0] if course.actuator else course.computer.held
+    place = jnp.where(is_time, saved.count, saved.u.shape[0])  # out of bounds: dropped
+    x = tuple(old.at[place].set(xi, mode="drop") for old, xi in zip(saved.x, course.now.x, strict=True))
+    count = saved.count + is_time.astype(saved.count.dtype)
+    return dataclasses.replace(course, saved=Saved(x, saved.u.at[place].set(u, mode="drop"), count))
+
+
+def _judged(plan: Plan, course: Course) -> Course:
+    """Whether the run goes on."""
+    z = jnp.abs(course.now.sigma) / course.now.rho
+    goes_on = (
+        (course.now.t < plan.horizon)
+        & (z < course.farthest)
+        & (course.steps < plan.max_steps)
+        & (course.step > _SHORTEST_STEP * plan.horizon)
+        & ~course.computer.has_overflown
+    )
+    return dataclasses.replace(course, is_running=course.is_running & goes_on)

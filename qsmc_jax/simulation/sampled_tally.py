@@ -1,0 +1,206 @@
+"""The running figures of a sampled loop: kept up cell by cell for the plant, sample by sample for the command."""
+
+import functools as ft
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from qsmc_jax.base import trees
+from qsmc_jax.base.hermite import Cubic, integral_of_square
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.simulation.instant import Cell, Instant
+from qsmc_jax.simulation.tally import OutsideStep, Problem
+
+# A reversal of the command counts if it is more than this part of the range of the commands so far.
+HYSTERESIS = 0.01
+
+_SQRT2 = 2.0**0.5
+
+
+class Filter(AbstractModule):
+    r"""A second-order Butterworth high-pass filter, $s^2 / (s^2 + \sqrt 2 \omega s + \omega^2)$, and what it has let through.
+
+    Attributes:
+        low: Output of the low-pass filter beside it.
+        rate: The rate of that, over the cutoff frequency.
+        high_power: Integral of the squared output.
+        power: Integral of the squared input.
+    """
+
+    low: RealScalarLike
+    rate: RealScalarLike
+    high_power: RealScalarLike
+    power: RealScalarLike
+
+
+class Reversals(AbstractModule):
+    """Turns of the command with hysteresis: the direction (0 before the first move), the extreme since the last turn, the range
+    so far, and the count."""
+
+    direction: RealScalarLike
+    extreme: RealScalarLike
+    least: RealScalarLike
+    largest: RealScalarLike
+    count: RealScalarLike
+
+
+class CommandTally(AbstractModule):
+    """The figures of the command as computed, in the steady phase."""
+
+    reversals: Reversals
+    peak_rate: RealScalarLike
+
+
+class CellTally(AbstractModule):
+    """The figures of the plant and its input, all scalars; see `Figures` and `Chattering` for what becomes of them.
+
+    `first_exit` is the first cell with |z| >= 1 somewhere, `last_exit` the last, `outside` the last with |sigma| >= bandwidth.
+    """
+
+    peak_ratio: RealScalarLike
+    peak_time: RealScalarLike
+    peak_excess: RealScalarLike
+    first_exit: OutsideStep
+    last_exit: OutsideStep
+    outside: OutsideStep
+    unsettled_time: RealScalarLike
+    peak_errors: Scalars
+    peak_u: RealScalarLike
+    last_u: RealScalarLike
+    total_variation: RealScalarLike
+    steady_variation: RealScalarLike
+    equivalent_variation: RealScalarLike
+    energy: RealScalarLike
+    squared_error: RealScalarLike
+    filter: Filter
+    least_gain: RealScalarLike
+    largest_disturbance: RealScalarLike
+
+
+def first_cell_tally(problem: Problem, start: Instant) -> CellTally:
+    """The figures at time 0, before any input."""
+    zero = jnp.zeros(())
+    none = OutsideStep(zero, zero, Cubic(zero, zero, zero, zero))
+    return CellTally(
+        peak_ratio=jnp.abs(start.sigma) / start.rho,
+        peak_time=zero,
+        peak_excess=jnp.abs(start.sigma) - start.rho,
+        first_exit=none,
+        last_exit=none,
+        outside=none,
+        unsettled_time=zero,
+        peak_errors=(zero,) * problem.loop.order,
+        peak_u=zero,
+        last_u=zero,
+        total_variation=zero,
+        steady_variation=zero,
+        equivalent_variation=zero,
+        energy=zero,
+        squared_error=zero,
+        filter=Filter(zero, zero, zero, zero),
+        least_gain=jnp.asarray(problem.loop.control.gain_sign * start.terms.gain),
+        largest_disturbance=jnp.abs(jnp.asarray(start.terms.disturbance)),
+    )
+
+
+def first_command_tally() -> CommandTally:
+    """The figures before the first command."""
+    zero, inf = jnp.zeros(()), jnp.full((), jnp.inf)
+    return CommandTally(Reversals(zero, zero, inf, -inf, zero), zero)
+
+
+def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: Cell) -> CellTally:
+    """The figures after one more cell. No cell has the reaching time inside."""
+    t0, t1, h = cell.left.t, cell.right.t, cell.length
+    is_steady = t0 >= problem.reaching_time
+    sigma, z, errors = cell.sigma(), cell.ratio(), cell.errors()
+    place, height = problem.fence(z.crest())
+    excess = jnp.maximum((height - 1.0) * _width_at(cell, place), jnp.abs(cell.right.sigma) - cell.right.rho)
+    is_higher, is_out = height > tally.peak_ratio, height >= 1.0
+    exit_ = OutsideStep(t0, h, z)
+    heights = problem.fence(tuple(cubic.crest()[1] for cubic in errors))
+    jump = jnp.where(t0 > 0.0, jnp.abs(cell.u0 - tally.last_u), 0.0)
+    change = jump + jnp.abs(cell.middle - cell.u0) + jnp.abs(cell.u1 - cell.middle)
+    equivalent = jnp.abs(cell.right.equivalent_input - cell.left.equivalent_input)
+    gain = problem.loop.control.gain_sign * cell.right.terms.gain
+    ends = [(e.y0, m) for e, m in zip(errors, cell.left.error_rates(cell.u0), strict=True)][0]
+    after = [(e.y1, m) for e, m in zip(errors, cell.right.error_rates(cell.u1), strict=True)][0]
+    return CellTally(
+        peak_ratio=jnp.maximum(height, tally.peak_ratio),
+        peak_time=jnp.where(is_higher, t0 + place * h, tally.peak_time),
+        peak_excess=jnp.maximum(tally.peak_excess, excess),
+        first_exit=trees.where(is_out & (tally.first_exit.length == 0.0) & (h > 0.0), exit_, tally.first_exit),
+        last_exit=trees.where(is_out & (h > 0.0), exit_, tally.last_exit),
+        outside=trees.where(_reaches(sigma, problem.bandwidth) & (h > 0.0), OutsideStep(t0, h, sigma), tally.outside),
+        unsettled_time=jnp.where(_exceeds(problem, heights, cell.left.errors), t1, tally.unsettled_time),
+        peak_errors=trees.where(is_steady, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors),
+        peak_u=ft.reduce(jnp.maximum, (tally.peak_u, *map(jnp.abs, (cell.u0, cell.middle, cell.u1)))),
+        last_u=cell.u1,
+        total_variation=tally.total_variation + change,
+        steady_variation=tally.steady_variation + jnp.where(is_steady, change, 0.0),
+        equivalent_variation=tally.equivalent_variation + jnp.where(is_steady, equivalent, 0.0),
+        energy=tally.energy + h / 6.0 * (cell.u0**2 + 4.0 * cell.middle**2 + cell.u1**2),
+        squared_error=tally.squared_error + integral_of_square(h, ends, after),
+        filter=_filtered(tally.filter, cell, cutoff, is_steady),
+        least_gain=jnp.minimum(tally.least_gain, gain),
+        largest_disturbance=jnp.maximum(tally.largest_disturbance, jnp.abs(cell.right.terms.disturbance)),
+    )
+
+
+def add_command(
+    tally: CommandTally, command: RealScalarLike, last: RealScalarLike, period: RealScalarLike, is_steady: BoolScalarLike
+) -> CommandTally:
+    """The figures after one more command."""
+    rate = jnp.abs(command - last) / period
+    new = CommandTally(_turned(tally.reversals, command), jnp.maximum(tally.peak_rate, rate))
+    return trees.where(is_steady, new, tally)
+
+
+def _width_at(cell: Cell, place: RealScalarLike) -> RealScalarLike:
+    """The funnel's half-width inside a cell, to second order."""
+    left, h = cell.left, cell.length
+    bend = cell.right.rho - left.rho - h * left.rho_rate
+    return left.rho + place * (h * left.rho_rate + place * bend)
+
+
+def _reaches(sigma: Cubic, level: RealScalarLike) -> Bool[Array, ""]:
+    return jnp.maximum(jnp.abs(sigma.y0), sigma.crest()[1]) >= level
+
+
+def _exceeds(problem: Problem, heights: Scalars, left: Scalars) -> Bool[Array, ""]:
+    """Whether any error reaches its bound in the cell."""
+    reaches = [
+        jnp.maximum(height, jnp.abs(start)) >= bound
+        for height, start, bound in zip(heights, left, problem.error_bounds, strict=True)
+    ]
+    return ft.reduce(jnp.logical_or, reaches)
+
+
+def _filtered(filter_: Filter, cell: Cell, cutoff: RealScalarLike, is_steady: BoolScalarLike) -> Filter:
+    """The filter after a cell, by the trapezium rule (Tustin's), which is stable for any length of it."""
+    # notation: a = omega h / 2; y, v = the low-pass filter's output and its rate over omega
+    h, u, y, v = cell.length, cell.middle, filter_.low, filter_.rate
+    a = 0.5 * cutoff * h
+    v1 = (v * (1.0 - _SQRT2 * a - a * a) + 2.0 * a * (u - y)) / (1.0 + _SQRT2 * a + a * a)
+    y1 = y + a * (v + v1)
+    high0, high1 = u - y - _SQRT2 * v, u - y1 - _SQRT2 * v1
+    high = jnp.where(is_steady, h / 3.0 * (high0 * high0 + high0 * high1 + high1 * high1), 0.0)
+    return Filter(y1, v1, filter_.high_power + high, filter_.power + jnp.where(is_steady, h * u * u, 0.0))
+
+
+def _turned(turns: Reversals, u: RealScalarLike) -> Reversals:
+    """The turns after one more command."""
+    is_first = turns.least > turns.largest
+    least, largest = jnp.minimum(turns.least, u), jnp.maximum(turns.largest, u)
+    move = jnp.where(is_first, 0.0, u - turns.extreme)
+    goes_on = move * turns.direction >= 0.0
+    is_turn = ~goes_on & (jnp.abs(move) > HYSTERESIS * (largest - least))
+    moves = (turns.direction == 0.0) | is_turn
+    return Reversals(
+        direction=jnp.where(moves, jnp.sign(move), turns.direction),
+        extreme=jnp.where(is_first | goes_on | is_turn, u, turns.extreme),
+        least=least,
+        largest=largest,
+        count=turns.count + jnp.where(is_turn, 1.0, 0.0),
+    )
