@@ -10,6 +10,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from qsmc_jax import paper as paper
+    from qsmc_jax.control import controllers as controllers
     from qsmc_jax.control.funnel import Funnel as Funnel
     from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
     from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
@@ -80,6 +81,7 @@ _HOMES = {
 }
 _NAMESPACES = {
     "actuators": "qsmc_jax.implementation.actuators",
+    "controllers": "qsmc_jax.control.controllers",
     "disturbances": "qsmc_jax.model.disturbances",
     "noises": "qsmc_jax.implementation.noises",
     "paper": "qsmc_jax.paper",

@@ -109,7 +109,7 @@ class ClosedLoop(AbstractModule):
         return self.control.surface(self.errors(t, x))
 
     def input(self, t: RealScalarLike, x: State) -> RealScalarLike:
-        """The control input u of the ideal loop, paper eq. (4); NaN outside the funnel, where the law is not defined."""
+        """The input u of the ideal loop, paper eq. (4); NaN outside the funnel, where the law is not defined."""
         law: Any = self.control  # a `QuasiSlidingControl`: the constructor sees to it
         return law(self.sliding_variable(t, x), self.control.funnel(t))
 
@@ -129,7 +129,7 @@ class ClosedLoop(AbstractModule):
         return Terms(self.plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
 
     def rates(self, terms: Terms, x: State, u: RealScalarLike) -> Scalars:
-        """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`, which callers have."""
+        """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`."""
         chain = (xi + di for xi, di in zip(x[1:], terms.unmatched, strict=True))
         return (*chain, terms.drift + terms.gain * u + terms.disturbance)
 
@@ -141,8 +141,10 @@ class ClosedLoop(AbstractModule):
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
         plan = self.implementation
-        return self.disturbance.break_times if plan is None else jnp.concatenate(
-            [self.disturbance.break_times, plan.break_times]
+        return (
+            self.disturbance.break_times
+            if plan is None
+            else jnp.concatenate([self.disturbance.break_times, plan.break_times])
         )
 
 

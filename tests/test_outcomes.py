@@ -1,6 +1,5 @@
 """Failure honesty: a solve that can't tell says so, and a wrong call is told what is wrong with it."""
 
-import dataclasses
 import math
 from typing import ClassVar
 
@@ -60,7 +59,7 @@ def test_too_few_steps_leave_every_claim_undecided(too_few_steps):
 def test_an_undecided_run_has_no_figures(too_few_steps):
     told = {"verdict", "verdict_reaching", "verdict_tracking", "outcome", "end_time", "steps"}
     premises = {"least_gain", "largest_disturbance"}  # what was met until the end is worth knowing
-    figures = dataclasses.asdict(too_few_steps.figures)
+    figures = too_few_steps.figures.named()
     assert np.all(np.isnan(np.hstack([value for name, value in figures.items() if name not in told | premises])))
     assert np.all(np.isfinite([figures[name] for name in premises]))
 

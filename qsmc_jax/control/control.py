@@ -1,14 +1,16 @@
 """What a controller is, whatever its law: from what it measures at an instant to an input, with a memory of its own."""
 
 import abc
+import functools as ft
 from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from qsmc_jax.base.checks import require_positive, require_sign
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.control.funnel import Funnel
 from qsmc_jax.control.surface import SlidingSurface
 
@@ -53,11 +55,23 @@ class AbstractControl(AbstractModule):
         surface: Sliding surface.
         funnel: Funnel: what the loop is judged by, whether or not the law makes use of it.
         gain_sign: The sign of the control gain g, 1 or -1.
+        positive: Names of the law's own numbers that must be positive.
     """
 
     surface: eqx.AbstractVar[SlidingSurface]
     funnel: eqx.AbstractVar[Funnel]
     gain_sign: eqx.AbstractVar[Float[Array, ""]]
+    positive: eqx.AbstractClassVar[tuple[str, ...]]
+
+    def __check_init__(self):
+        for name in self.positive:
+            require_positive(name, getattr(self, name))
+        require_sign("gain_sign", self.gain_sign)
+
+    def is_valid(self) -> BoolScalarLike:
+        """Whether funnel, surface and the law's own numbers are what the constructors ask for, for traced ones."""
+        own = [getattr(self, name) > 0.0 for name in self.positive]
+        return ft.reduce(jnp.logical_and, own, self.funnel.is_valid() & self.surface.is_hurwitz())
 
     @abc.abstractmethod
     def first_memory(self) -> Scalars:

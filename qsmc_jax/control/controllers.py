@@ -1,20 +1,28 @@
-r"""Controllers to compare the quasi-sliding-mode law with, all on the same sliding variable and judged by the same funnel.
+r"""Controllers to compare the quasi-sliding-mode law with, on its sliding variable and judged by its funnel.
 
-What each reads, $\sigma$ with $\dot\sigma = w + g u$, is what that law reads. `Sign`, `BoundaryLayer`, `SuperTwisting`
-and `ProportionalDerivative` are defined everywhere, so that `Sample.beyond` is nothing to them; the other two are made
-for the funnel as that law is.
+They read what that law reads, $\sigma$ with $\dot\sigma = w + g u$. `Sign`, `BoundaryLayer`, `SuperTwisting` and
+`ProportionalDerivative` are defined everywhere, so that `Sample.beyond` makes no difference; the other two are made
+for the funnel, as that law is.
 
-A comparison means something on equal terms only. Each class builds its controller from the quasi-sliding-mode one
-that it is to be compared with, by a stated rule: the same slope at $\sigma = 0$, the same error in the end, or gains
-from a bound on what they have to overcome. The rules take traced numbers.
+A comparison is worth something on equal terms only. So each class makes its controller from the quasi-sliding-mode one
+that it is to be compared with, by a stated rule: the same slope at $\sigma = 0$, the same error at rest, or gains from
+a bound on what they have to overcome. Traced numbers will do.
 """
 
 import math
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive, require_sign, show
+from qsmc_jax.base.checks import (
+    is_traced,
+    require,
+    require_finite,
+    require_nonnegative,
+    require_positive,
+    show,
+)
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike, Scalars
@@ -43,16 +51,14 @@ class Sign(AbstractControl):
     amplitude: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
-    def __check_init__(self):
-        require_positive("amplitude", self.amplitude)
-        require_sign("gain_sign", self.gain_sign)
+    positive: ClassVar[tuple[str, ...]] = ("amplitude",)
 
     @classmethod
     def for_bound(
         cls,
         control: QuasiSlidingControl,
         residual_bound: RealScalarLike,
-        least_gain: RealScalarLike,
+        gain_min: RealScalarLike,
         reaching_rate: RealScalarLike,
     ) -> "Sign":
         r"""The least amplitude with $\sigma\dot\sigma \le -\eta|\sigma|$, $K = (W + \eta) / g_{min}$.
@@ -60,10 +66,13 @@ class Sign(AbstractControl):
         Args:
             control: What it is to be compared with.
             residual_bound: Bound W on $|w|$, in units of the sliding variable per second, not negative.
-            least_gain: Least value $g_{min}$ of $|g|$, positive.
+            gain_min: Least value $g_{min}$ of $|g|$, positive.
             reaching_rate: Rate $\eta$, in units of the sliding variable per second, positive.
         """
-        amplitude = (residual_bound + reaching_rate) / least_gain
+        require_nonnegative("residual_bound", residual_bound)
+        require_positive("gain_min", gain_min)
+        require_positive("reaching_rate", reaching_rate)
+        amplitude = (residual_bound + reaching_rate) / gain_min
         return cls(control.surface, control.funnel, amplitude, control.gain_sign)
 
     def first_memory(self) -> Scalars:
@@ -92,14 +101,11 @@ class BoundaryLayer(AbstractControl):
     width: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
-    def __check_init__(self):
-        require_positive("amplitude", self.amplitude)
-        require_positive("width", self.width)
-        require_sign("gain_sign", self.gain_sign)
+    positive: ClassVar[tuple[str, ...]] = ("amplitude", "width")
 
     @classmethod
     def with_equal_slope(cls, control: QuasiSlidingControl, amplitude: RealScalarLike) -> "BoundaryLayer":
-        r"""The layer with the slope of `control` at $\sigma = 0$ and $\rho = \rho_\infty$, $K / \phi = \pi / 2\rho_\infty$."""
+        r"""The layer with the slope $\pi / 2\rho_\infty$ of `control` at $\sigma = 0$ and $\rho = \rho_\infty$."""
         return cls(control.surface, control.funnel, amplitude, amplitude / _slope(control), control.gain_sign)
 
     @classmethod
@@ -108,7 +114,7 @@ class BoundaryLayer(AbstractControl):
         control: QuasiSlidingControl,
         amplitude: RealScalarLike,
         residual_bound: RealScalarLike,
-        least_gain: RealScalarLike,
+        gain_min: RealScalarLike,
     ) -> "BoundaryLayer":
         r"""The layer that leaves at rest, under the worst w and g, the $|\sigma|$ that `control` leaves.
 
@@ -118,16 +124,16 @@ class BoundaryLayer(AbstractControl):
             control: What it is to be compared with.
             amplitude: K, above r: with less, there is no rest in the layer.
             residual_bound: Bound W on $|w|$, in units of the sliding variable per second, positive.
-            least_gain: Least value $g_{min}$ of $|g|$, positive.
+            gain_min: Least value $g_{min}$ of $|g|$, positive.
         """
-        needed = residual_bound / least_gain
         require_positive("residual_bound", residual_bound)
-        require_positive("least_gain", least_gain)
+        require_positive("gain_min", gain_min)
+        needed = residual_bound / gain_min
         if not is_traced(amplitude, needed):
             require(
                 bool(amplitude > needed),
-                f"Argument `amplitude` must be above `residual_bound / least_gain` = {show(needed)}, but is "
-                f"{show(amplitude)}.",
+                f"Argument `amplitude` must be above `residual_bound / gain_min` = {show(needed)}, but is "
+                f"{show(amplitude)}. With less, w pushes it out of the layer.",
             )
         width = amplitude * _error_at_rest(control, needed) / needed
         return cls(control.surface, control.funnel, amplitude, width, control.gain_sign)
@@ -142,10 +148,10 @@ class BoundaryLayer(AbstractControl):
 class SuperTwisting(AbstractControl):
     r"""The super-twisting law $u = -\operatorname{sgn}(g) k_1 |\sigma|^{1/2} \operatorname{sgn}\sigma + v$.
 
-    Its memory is the integral $\dot v = -\operatorname{sgn}(g) k_2 \operatorname{sgn}\sigma$, 0 at first, and taken as it
-    is implemented, by explicit Euler steps of the nominal period: $v_{k+1} = v_k - \operatorname{sgn}(g) k_2 \tau
-    \operatorname{sgn}\sigma_k$. It leaves $|\sigma| = O(\tau^2)$ if g is constant. Nothing stops the integral when the
-    command saturates. The slope at $\sigma = 0$ is infinite; its derivative there is given as 0.
+    Its memory is the integral $\dot v = -\operatorname{sgn}(g) k_2 \operatorname{sgn}\sigma$, 0 at first, taken as it
+    is implemented: by explicit Euler steps of the nominal period, $v_{k+1} = v_k - \operatorname{sgn}(g) k_2 \tau
+    \operatorname{sgn}\sigma_k$. So it leaves $|\sigma| = O(\tau^2)$. Nothing stops the integral when the command
+    saturates. At $\sigma = 0$ the slope is infinite; its derivative there is given as 0.
 
     Attributes:
         surface: Sliding surface.
@@ -163,31 +169,30 @@ class SuperTwisting(AbstractControl):
     k2: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
-    def __check_init__(self):
-        require_positive("k1", self.k1)
-        require_positive("k2", self.k2)
-        require_sign("gain_sign", self.gain_sign)
+    positive: ClassVar[tuple[str, ...]] = ("k1", "k2")
 
     @classmethod
     def for_rate(
-        cls, control: QuasiSlidingControl, residual_rate: RealScalarLike, least_gain: RealScalarLike
+        cls, control: QuasiSlidingControl, residual_rate: RealScalarLike, gain_min: RealScalarLike
     ) -> "SuperTwisting":
         r"""The usual gains for $|\dot w| \le L$, $k_1 = 1.5 \sqrt L / g_{min}$ and $k_2 = 1.1 L / g_{min}$.
 
-        With $\xi = w + g v$ and constant g > 0 the loop is $\dot\sigma = -g k_1 |\sigma|^{1/2} \operatorname{sgn}\sigma +
-        \xi$, $\dot\xi = \dot w - g k_2 \operatorname{sgn}\sigma$, so that both gains stand with g. It is stable if $g k_2 >
-        L$ and $(g k_1)^2 > g k_2 + L$, which then hold for every constant $g \ge g_{min}$. If g varies, w also drives it
-        through $\dot g v$, and L has to bound that too.
+        With $\xi = w + g v$ and constant g > 0 the loop is $\dot\sigma = -g k_1 |\sigma|^{1/2}
+        \operatorname{sgn}\sigma + \xi$, $\dot\xi = \dot w - g k_2 \operatorname{sgn}\sigma$: both gains stand with g.
+        It is stable if $g k_2 > L$ and $(g k_1)^2 > g k_2 + L$, which then hold for every constant $g \ge g_{min}$. If
+        g varies, $\dot g v$ adds to $\dot w$, and L has to bound the sum.
 
         Args:
             control: What it is to be compared with.
             residual_rate: Bound L on $|\dot w|$, in units of the sliding variable per second squared, positive.
-            least_gain: Least value $g_{min}$ of $|g|$, positive.
+            gain_min: Least value $g_{min}$ of $|g|$, positive.
 
         Source: Levant, Robust exact differentiation via sliding mode technique, Automatica 34 (1998), for g = 1; Seeber
         and Horn, Automatica 84 (2017), for the conditions.
         """
-        k1, k2 = 1.5 * residual_rate**0.5 / least_gain, 1.1 * residual_rate / least_gain
+        require_positive("residual_rate", residual_rate)
+        require_positive("gain_min", gain_min)
+        k1, k2 = 1.5 * residual_rate**0.5 / gain_min, 1.1 * residual_rate / gain_min
         return cls(control.surface, control.funnel, k1, k2, control.gain_sign)
 
     def first_memory(self) -> Scalars:
@@ -221,9 +226,7 @@ class PrescribedPerformance(AbstractControl):
     gain: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
-    def __check_init__(self):
-        require_positive("gain", self.gain)
-        require_sign("gain_sign", self.gain_sign)
+    positive: ClassVar[tuple[str, ...]] = ("gain",)
 
     @classmethod
     def with_equal_slope(cls, control: QuasiSlidingControl) -> "PrescribedPerformance":
@@ -259,9 +262,7 @@ class FunnelControl(AbstractControl):
     gain: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
-    def __check_init__(self):
-        require_positive("gain", self.gain)
-        require_sign("gain_sign", self.gain_sign)
+    positive: ClassVar[tuple[str, ...]] = ("gain",)
 
     @classmethod
     def with_equal_slope(cls, control: QuasiSlidingControl) -> "FunnelControl":
@@ -272,9 +273,9 @@ class FunnelControl(AbstractControl):
         return ()
 
     def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
-        # z / (1 - z^2) with the distances to the edges, which floating point knows exactly
+        # z / (1 - z^2) from the distances to the edges, which floating point knows exactly
         sigma, rho = sample.inside(), sample.rho
-        return -self.gain_sign * self.gain * (sigma / (rho - sigma)) * (rho / (rho + sigma)), ()
+        return -self.gain_sign * self.gain * sigma * rho / ((rho - sigma) * (rho + sigma)), ()
 
 
 class ProportionalDerivative(AbstractControl):
@@ -287,7 +288,7 @@ class ProportionalDerivative(AbstractControl):
         surface: Sliding surface.
         funnel: Funnel that the loop is judged by.
         gain: k, in units of the input per unit of the sliding variable, positive.
-        feedforward: $k_f$, in units of the input per unit of $x_{des}^{(n)}$: what $1 / |g|$ is taken to be; 0 for none.
+        feedforward: $k_f$, in units of the input per unit of $x_{des}^{(n)}$: an estimate of $1 / |g|$; 0 for none.
         gain_sign: The sign of the control gain g, 1 or -1.
     """
 
@@ -297,10 +298,10 @@ class ProportionalDerivative(AbstractControl):
     feedforward: Float[Array, ""] = float_field(default=0.0)
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
+    positive: ClassVar[tuple[str, ...]] = ("gain",)
+
     def __check_init__(self):
-        require_positive("gain", self.gain)
         require_finite("feedforward", self.feedforward)
-        require_sign("gain_sign", self.gain_sign)
 
     @classmethod
     def with_equal_slope(

@@ -1,11 +1,11 @@
 """The quasi-sliding-mode control law."""
 
 import math
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import require_sign
 from qsmc_jax.base.gudermann import tan_half_pi
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
@@ -32,8 +32,7 @@ class QuasiSlidingControl(AbstractControl):
     funnel: Funnel
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
-    def __check_init__(self):
-        require_sign("gain_sign", self.gain_sign)
+    positive: ClassVar[tuple[str, ...]] = ()
 
     def __call__(self, sigma: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
         r"""The control at sliding variable `sigma` and half-width `rho`; NaN unless $|\sigma| < \rho$."""

@@ -1,19 +1,19 @@
 r"""How imperfectly the law may be implemented: limits on saturation, sampling, delay, actuator and noise.
 
-Notation: $\dot\sigma = w + g u$ with the residual w (everything that is not the input: drift, reference, disturbance,
-$\sum_j c_j e^{(j)}$) and the gain g, here $|g|$; $z = \sigma / \rho$; $u = -\tan(\pi z / 2)$. Held against a constant w,
-the law rests at $u = w / g$, where its slope makes the loop gain $k' = \frac{\pi g}{2 \rho} (1 + (w / g)^2)$ [1/s].
+Notation: $\dot\sigma = w + g u$ with the residual w (all that is not the input: drift, reference, disturbance,
+$\sum_j c_j e^{(j)}$) and the gain g, here $|g|$; $z = \sigma / \rho$; $u = -\tan(\pi z / 2)$. Against a constant w the
+law rests at $|u| = |w| / g$, where its slope makes the loop gain $k' = \frac{\pi g}{2 \rho} (1 + (w / g)^2)$ [1/s].
 
 Each limit says what it is worth:
 
-- LOCAL: exact for the loop linearised there, with w, g and $\rho$ frozen. Its loop transfer function is
-  $L(s) = k' p(s) / s^n$, p the polynomial of the surface. All these limits hold up to the first loss of stability
-  counted from the ideal loop. The ideal loop itself is stable for n = 1 and 2, and for n >= 3 once $k'$ is large enough;
-  where it is not, nothing is left to lose: periods, delays and lags are 0, the actuator frequency is `inf`.
-- SUFFICIENT: the funnel is kept by every run that meets the bounds.
-- NECESSARY: below it some admissible run leaves the funnel.
+- LOCAL: exact for the loop linearised there, with w, g and $\rho$ frozen and the loop transfer function
+  $L(s) = k' p(s) / s^n$, p the polynomial of the surface. It is where stability is first lost, counted from the ideal
+  loop. That one is stable for n = 1 and 2, but for n >= 3 only if $k'$ is large enough; otherwise nothing is left to
+  lose, and periods, delays and lags are 0, the actuator frequency is `inf`.
+- SUFFICIENT: every run that meets the bounds keeps the funnel.
+- NECESSARY: beyond it some admissible run leaves the funnel.
 
-Numbers only, nothing traced; results are Python floats.
+Numbers only, nothing traced; results are Python floats. Arguments out of range raise `ValueError`.
 """
 
 import itertools as it
@@ -35,8 +35,9 @@ from qsmc_jax.control.surface import SlidingSurface
 Coefficients: TypeAlias = Sequence[float] | Float[ArrayLike, " c"]
 
 _LEAST_CONTROL = 1e-6  # the smallest tan(pi z / 2) that `sufficient_period` tries
-_POINTS, _ROUNDS = 64, 5  # each round narrows the search 32 times
-_NEWTON_STEPS = 12  # quadratic convergence: 6 suffice for moderate numbers
+_POINTS, _ROUNDS = 256, 2  # the search is narrowed twice, 128 times each: to 1e-5 of the best
+_NEWTON_STEPS = 12  # they converge quadratically: to rounding for bounds up to 1e8, to 1e-9 at 1e12
+_CLEARANCE = 1e-9  # closer to where no period will do, the quotient would lose its digits
 _TINY = 1e-300  # absolute tolerance of root finding: none, the relative one decides
 
 
@@ -47,9 +48,6 @@ def small_signal_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealS
         gain: Size of the input gain $|g|$, in units of the sliding variable per second and unit of input; positive.
         residual: Residual w at rest, in units of the sliding variable per second; either sign.
         rho: Half-width of the funnel, in units of the sliding variable; positive.
-
-    Raises:
-        ValueError: An argument is out of range.
 
     Source: derived here: the slope of $-g \tan(\pi \sigma / (2 \rho))$ where $\tan(\pi \sigma / (2 \rho)) = w / g$.
     """
@@ -62,9 +60,9 @@ def small_signal_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealS
 def critical_period(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLike, c: Coefficients = ()) -> float:
     r"""The longest period [s] of a sampled and held input with a stable linearised loop. LOCAL.
 
-    $2 / k' = 4 \rho g / (\pi (g^2 + w^2))$ for n = 1, $\min(2 / k', 2 / c_1)$ for n = 2; near $2 / k'$ for n >= 3 if the
-    surface is slow. Where $|w| < g / \sqrt 3$ and n = 1, runs leave the funnel soon above it (the period doubling is
-    subcritical); at larger residuals they chatter inside first.
+    $2 / k' = 4 \rho g / (\pi (g^2 + w^2))$ for n = 1, $\min(2 / k', 2 / c_1)$ for n = 2; just above $2 / k'$ for n >= 3
+    if the surface is slow. For n = 1 and $|w| < g / \sqrt 3$ runs leave the funnel just above it (the period doubling
+    is subcritical); at larger residuals they chatter inside first.
 
     Args:
         gain: Size of the input gain, positive; see `small_signal_gain`.
@@ -93,27 +91,18 @@ def critical_delay(gain: RealScalarLike, residual: RealScalarLike, rho: RealScal
     r"""The longest delay [s] around the loop with a stable linearised loop. LOCAL.
 
     The least $\arg(-L(j \omega)) / \omega$, argument in $[0, 2 \pi)$, over all $\omega$ with $|L(j \omega)| = 1$.
-    For n = 1 it is $\frac{\pi}{2 k'} = \rho g / (g^2 + w^2)$; for large $k'$ it tends to
-    $(\pi / 2 - c_{n-1} / k') / k'$.
+    It is $\frac{\pi}{2 k'} = \rho g / (g^2 + w^2)$ for n = 1, and about $(\pi / 2 - c_{n-1} / k') / k'$ for large $k'$.
 
-    Args:
-        gain: Size of the input gain, positive; see `small_signal_gain`.
-        residual: Residual at rest.
-        rho: Half-width of the funnel, positive.
-        c: Coefficients of the surface, lowest derivative first; empty for n = 1.
+    Arguments and errors: as `critical_period`.
 
-    Raises:
-        ValueError: An argument is out of range, or the surface is not Hurwitz.
-
-    Source: derived here: $1 + L(j \omega) e^{-j \omega h} = 0$ says both; as the delay grows from 0, the first root to
-        reach the axis is the first solution.
+    Source: derived here: both say $1 + L(j \omega) e^{-j \omega h} = 0$; at the least such h a root first arrives.
     """
     k, a = _linearised_loop(gain, residual, rho, c)
     if not _is_stable(a):
         return 0.0
     real, lag = _loop_parts(a)
     crossings = _positive_roots(real**2 + Polynomial([0.0, 1.0]) * lag**2 - 1.0)
-    return min(_phase(-real(y), math.sqrt(y) * lag(y)) * math.sqrt(y) for y in crossings) / k
+    return min(math.atan2(math.sqrt(y) * lag(y), -real(y)) % (2.0 * math.pi) * math.sqrt(y) for y in crossings) / k
 
 
 def critical_lag(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLike, c: Coefficients = ()) -> float:
@@ -122,51 +111,32 @@ def critical_lag(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalar
     Up to it $T s^{n+1} + s^n + k' p(s)$ is Hurwitz: `inf` for n = 1, $1 / c_1$ for n = 2,
     $1 / c_2 - c_1 / (k' c_2^2)$ for n = 3; it tends to $1 / c_{n-1}$ for large $k'$, so no gain helps.
 
-    Args:
-        gain: Size of the input gain, positive; see `small_signal_gain`.
-        residual: Residual at rest.
-        rho: Half-width of the funnel, positive.
-        c: Coefficients of the surface, lowest derivative first; empty for n = 1.
+    Arguments and errors: as `critical_period`.
 
-    Raises:
-        ValueError: An argument is out of range, or the surface is not Hurwitz.
-
-    Source: derived here: $1 + j \omega T = -L(j \omega)$, so $\mathrm{Re} L = -1$ and $T = -\mathrm{Im} L / \omega$. The
-        root that the actuator adds comes from $-\infty$ as T leaves 0, so the least such T > 0 is the first loss.
+    Source: derived here: $1 + j \omega T = -L(j \omega)$, so $\mathrm{Re} L = -1$ and $T = -\mathrm{Im} L / \omega$.
+        The root that the actuator adds comes from $-\infty$ as T leaves 0, so the least such T > 0 is the first loss.
     """
     k, a = _linearised_loop(gain, residual, rho, c)
     if not _is_stable(a):
         return 0.0
     real, lag = _loop_parts(a)
-    lags = (y * lag(y) for y in _positive_roots(real + 1.0))
+    lags = (float(y * lag(y)) for y in _positive_roots(real + 1.0))
     return min((value for value in lags if value > 0), default=math.inf) / k
 
 
 def critical_actuator_frequency(
-    gain: RealScalarLike,
-    residual: RealScalarLike,
-    rho: RealScalarLike,
-    damping: RealScalarLike,
-    c: Coefficients = (),
+    gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLike, damping: RealScalarLike, c: Coefficients = ()
 ) -> float:
     r"""The natural frequency [rad/s] above which a second-order actuator leaves the linearised loop stable. LOCAL.
 
-    The actuator is $\omega_a^2 / (s^2 + 2 \zeta \omega_a s + \omega_a^2)$. For n = 1 the limit is $k' / (2 \zeta)$. For
-    large $k'$ it grows like $k' / (2 \zeta)$ at any n.
+    The actuator is $\omega_a^2 / (s^2 + 2 \zeta \omega_a s + \omega_a^2)$. The limit is $k' / (2 \zeta)$ for n = 1, and
+    tends to that for large $k'$ at any n.
 
-    Args:
-        gain: Size of the input gain, positive; see `small_signal_gain`.
-        residual: Residual at rest.
-        rho: Half-width of the funnel, positive.
-        damping: Damping ratio $\zeta$ of the actuator [-], positive.
-        c: Coefficients of the surface, lowest derivative first; empty for n = 1.
-
-    Raises:
-        ValueError: An argument is out of range, or the surface is not Hurwitz.
+    Arguments and errors: as `critical_period`; `damping` is the actuator's damping ratio $\zeta$ [-], positive.
 
     Source: derived here: with $q = 1 / \omega_a$, $1 - \omega^2 q^2 + 2 j \zeta \omega q = -L(j \omega)$, so
-        $q = -\mathrm{Im} L / (2 \zeta \omega)$ and $1 + \mathrm{Re} L = (\mathrm{Im} L)^2 / (4 \zeta^2)$; the least q > 0
-        is the first loss.
+        $q = -\mathrm{Im} L / (2 \zeta \omega)$ and $1 + \mathrm{Re} L = (\mathrm{Im} L)^2 / (4 \zeta^2)$; the least
+        q > 0 is the first loss.
     """
     require_positive("damping", damping)
     k, a = _linearised_loop(gain, residual, rho, c)
@@ -175,21 +145,18 @@ def critical_actuator_frequency(
     real, lag = _loop_parts(a)
     twice = 2.0 * float(damping)
     crossings = _positive_roots(real + 1.0 - Polynomial([0.0, 1.0]) * lag**2 / twice**2)
-    return k * twice / min(y * lag(y) for y in crossings if lag(y) > 0)
+    return k * twice / min(float(y * lag(y)) for y in crossings if lag(y) > 0)
 
 
 def sufficient_saturation(residual_bound: RealScalarLike, gain_min: RealScalarLike, funnel: Funnel) -> float:
     r"""An input limit $(W + \mu \rho_0) / g_\min$ with which the saturated law keeps the funnel. SUFFICIENT.
 
-    It holds for every $|w| \le W$, $|g| \ge g_\min$ and start inside the funnel, also one at which the law asks for more.
+    For every $|w| \le W$, $|g| \ge g_\min$ and start inside the funnel, also one at which the law asks for more.
 
     Args:
         residual_bound: Bound W on $|w|$ while in the funnel, in units of the sliding variable per second; at least 0.
         gain_min: Least size of the input gain, positive.
         funnel: The funnel.
-
-    Raises:
-        ValueError: An argument is out of range.
 
     Source: derived here. For z > 0, $\rho \dot z = w + g u - z \dot\rho \le W + \mu \rho_0 - g_\min \min(u_\max,
         \tan(\pi z / 2))$: not positive once $\tan(\pi z / 2) \ge (W + \mu \rho_0) / g_\min$.
@@ -204,18 +171,15 @@ def necessary_saturation(
 ) -> float:
     r"""The input limit below which no controller at all keeps the funnel. NECESSARY.
 
-    $(W_0 + \sup_{t > 0} (|\sigma_0| - \rho(t)) / t) / g_\max$ against the constant residual $W_0 \mathrm{sgn}(\sigma_0)$
-    and gains $|g| \le g_\max$. The supremum is the slope of the tangent from $(0, |\sigma_0|)$ to the funnel's edge if
-    $|\sigma_0| > \rho_\infty$, otherwise 0.
+    $(W_0 + \sup_{t > 0} (|\sigma_0| - \rho(t)) / t) / g_\max$ against the constant residual
+    $W_0 \mathrm{sgn}(\sigma_0)$ with gains $|g| \le g_\max$. The supremum is 0 if $|\sigma_0| \le \rho_\infty$,
+    otherwise how steeply the tangent from $(0, |\sigma_0|)$ to the funnel's edge falls.
 
     Args:
         residual: Size $W_0$ of the constant residual, in units of the sliding variable per second; at least 0.
         gain_max: Largest size of the input gain, positive.
         funnel: The funnel.
         sigma0: Sliding variable at the start, strictly inside the funnel.
-
-    Raises:
-        ValueError: An argument is out of range.
 
     Source: derived here. $|\sigma(t)| \ge |\sigma_0| + (W_0 - g_\max u_\max) t$ must stay below $\rho(t)$, which is
         convex. Tangency at t: $(1 + x) e^{-x} = q$ with $x = \mu t$, $q = (|\sigma_0| - \rho_\infty) / \rho_0$, so
@@ -272,9 +236,6 @@ def sufficient_period(
         funnel: The funnel.
         ratio0: Bound on $|\sigma| / \rho$ at the start [-], in [0, 1).
 
-    Raises:
-        ValueError: An argument is out of range.
-
     Source: derived here. At a sample let $0 \le z \le \bar z$ (else mirror). Until the next, $-\dot\rho \le r$ and
         $\sigma - \bar z \rho$ grows from $-(\bar z - z) \rho$ at no more than $W + \bar z r - g_\min T(z)$: the first
         condition keeps it $\le 0$. $-\sigma - \bar z \rho$ grows from $-(\bar z + z) \rho$ at no more than
@@ -293,12 +254,14 @@ def sufficient_period(
     w, g = float(residual_bound), (float(gain_min), float(gain_max))
     low = max(math.tan(0.5 * math.pi * float(ratio0)), w / g[0], _LEAST_CONTROL)
     high = 10.0 * (low + (1.0 + sufficient_saturation(w, g[0], funnel)) ** 2)  # from here the period only falls
+    controls = np.geomspace(low, high, _POINTS)
     for _ in range(_ROUNDS):
-        controls = np.geomspace(low, high, _POINTS)
-        periods = _invariant_periods(controls, w, g, funnel)
-        best = int(np.argmax(periods))
-        low, high = controls[max(best - 1, 0)], controls[min(best + 1, _POINTS - 1)]
-    return SufficientPeriod(float(periods[best]), 2.0 / math.pi * math.atan(controls[best]))
+        best = int(np.argmax(_invariant_periods(controls, w, g, funnel)))
+        controls = np.geomspace(controls[max(best - 1, 0)], controls[min(best + 1, _POINTS - 1)], _POINTS)
+    periods = _invariant_periods(controls, w, g, funnel)
+    best = int(np.argmax(periods))
+    ratio = max(float(ratio0), 2.0 / math.pi * math.atan(controls[best]))
+    return SufficientPeriod(float(periods[best]), ratio)
 
 
 def noise_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLike, period: RealScalarLike) -> float:
@@ -306,14 +269,7 @@ def noise_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLi
 
     For noise that is small against $\rho$, at the samples, in the long run; `inf` from `critical_period` on.
 
-    Args:
-        gain: Size of the input gain, positive; see `small_signal_gain`.
-        residual: Residual at rest.
-        rho: Half-width of the funnel, positive.
-        period: Sample period [s], positive.
-
-    Raises:
-        ValueError: An argument is out of range.
+    Arguments: as `small_signal_gain`; `period` is the sample period [s], positive.
 
     Source: derived here: $\sigma_{i+1} = (1 - k' \tau) \sigma_i - k' \tau \nu_i$, a first-order autoregression.
     """
@@ -331,9 +287,6 @@ def escape_time(gain: RealScalarLike, rho: RealScalarLike, ratio0: RealScalarLik
         gain: Size of the input gain, positive and constant.
         rho: Half-width of the funnel, positive.
         ratio0: $\sigma / \rho$ at the start [-], strictly between -1 and 1.
-
-    Raises:
-        ValueError: An argument is out of range.
 
     Source: derived here: $\dot\sigma = g \tan\theta$ with $\theta = \pi \sigma / (2 \rho)$ gives
         $\sin\theta(t) = \sin\theta(0) e^{k t}$.
@@ -364,11 +317,6 @@ def _loop_parts(a: Float[np.ndarray, " n"]) -> tuple[Polynomial, Polynomial]:
     return Polynomial([0.0, *signed[1::2]]), Polynomial(signed[0::2])
 
 
-def _phase(real: float, imaginary: float) -> float:
-    """The argument of a complex number, in [0, 2 pi)."""
-    return math.atan2(imaginary, real) % (2.0 * math.pi)
-
-
 def _positive_roots(polynomial: Polynomial) -> list[float]:
     """The positive roots at which the sign changes: one between turning points, which come from the derivative."""
     coefficients = polynomial.trim().coef
@@ -377,7 +325,7 @@ def _positive_roots(polynomial: Polynomial) -> list[float]:
     powers = 1.0 / np.arange(len(coefficients) - 1, 0, -1)
     bound = 2.0 * float(np.max(np.abs(coefficients[:-1] / coefficients[-1]) ** powers))  # Fujiwara's
     knots = [0.0, *_positive_roots(polynomial.trim().deriv()), bound]
-    cells = [cell for cell in it.pairwise(knots) if polynomial(cell[0]) * polynomial(cell[1]) < 0]
+    cells = [(low, high) for low, high in it.pairwise(knots) if (polynomial(low) < 0) != (polynomial(high) < 0)]
     return [float(optimize.brentq(polynomial, *cell, xtol=_TINY, maxiter=2000)) for cell in cells]
 
 
@@ -396,9 +344,7 @@ def _held_integrators(m: int) -> Polynomial:
     r"""$(1 - v)^m B_m(z) / m!$ with $z = (1 + v) / (1 - v)$ and the Eulerian polynomial $B_m$."""
     row = [1]
     for i in range(2, m + 1):
-        row = [
-            (j + 1) * right + (i - j) * left for j, (left, right) in enumerate(zip([0, *row], [*row, 0], strict=True))
-        ]
+        row = [(j + 1) * right + (i - j) * left for j, (left, right) in enumerate(it.pairwise([0, *row, 0]))]
     plus, minus = Polynomial([1.0, 1.0]), Polynomial([1.0, -1.0])
     terms = (number * plus**j * minus ** (m - j) for j, number in enumerate(row))
     return sum(terms, start=Polynomial([0.0])) / math.factorial(m)
@@ -439,4 +385,4 @@ def _invariant_periods(
             gap = 2.0 / math.pi * np.arctan2(controls - tangent, 1.0 + controls * tangent)
             period = gap * rho / (push - gains[0] * tangent)
     period = np.minimum(period, 2.0 * ratio * rho / (push + gains[1] * controls))
-    return np.min(np.where(gains[0] * controls >= push, period, 0.0), axis=0)
+    return np.min(np.where(gains[0] * controls > (1.0 + _CLEARANCE) * push, period, 0.0), axis=0)

@@ -85,8 +85,9 @@ class SecondOrderLag(AbstractActuator):
 
 
 def _damped_pair(damping: RealScalarLike, phase: RealScalarLike) -> tuple[RealScalarLike, RealScalarLike]:
-    r"""$e^{-\zeta\phi}\cos q\phi$ and $e^{-\zeta\phi}\frac{\sin q\phi}{q}$ with $q = \sqrt{1 - \zeta^2}$, and what they become
-    for $\zeta \ge 1$.
+    r"""$e^{-\zeta\phi}\cos q\phi$ and $e^{-\zeta\phi}\frac{\sin q\phi}{q}$ with $q = \sqrt{1 - \zeta^2}$.
+
+    And what they become for a damping ratio of 1 or more.
     """
     discriminant = 1.0 - damping * damping
     oscillates, is_critical = discriminant > 0.0, _is_small(discriminant)

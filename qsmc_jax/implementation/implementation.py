@@ -1,6 +1,7 @@
 """The implementation of a controller: what of the paper's continuous, unlimited, exact input reality leaves."""
 
 import functools as ft
+import math
 from typing import Any, get_args
 
 import equinox as eqx
@@ -98,8 +99,8 @@ class Implementation(AbstractModule):
         noise: Noise on the measured states.
         actuator: The lag between the command and the plant's input.
         gain_fault: A gain that is wrong for a while.
-        unmatched: Disturbances of the first n - 1 states, $\dot x_i = x_{i+1} + d_i(t)$, which the paper excludes; n - 1
-            of them, or none.
+        unmatched: Disturbances of the first n - 1 states, $\dot x_i = x_{i+1} + d_i(t)$, which the paper excludes:
+            n - 1 of them, or none.
         beyond: What the law does outside the funnel, where the paper does not define it: `"saturate"` (it holds the
             value it has just inside) or `"wrap"` (a fault: the tangent as it stands, which points the wrong way).
         cutoff: Angular frequency [rad/s] above which power of the input counts as high-frequency, positive; None stands
@@ -142,11 +143,24 @@ class Implementation(AbstractModule):
         known = get_args(Beyond)
         require(self.beyond in known, f"Argument `beyond` must be one of {list(known)}, but is {self.beyond!r}.")
         require(self.queue >= 1, f"Argument `queue` must be at least 1, but is {self.queue}.")
+        if self.is_late and not is_traced(self.sample_period, self.delay, self.measurement_delay, self.jitter):
+            needed = self._most_under_way()
+            require(
+                self.queue >= needed,
+                f"Argument `queue` must be at least {needed}, as many samples are under way, but is {self.queue}. "
+                f"Give `queue={needed}`, or more if delay or period are drawn.",
+            )
 
     @property
     def is_late(self) -> bool:
         """Whether commands arrive later than they are measured for, and so have to be kept."""
         return self.delay is not None or self.measurement_delay is not None
+
+    def _most_under_way(self) -> int:
+        """Samples that can be under way at once."""
+        flight = sum(float(part) for part in (self.delay, self.measurement_delay) if part is not None)
+        late = 0.0 if self.jitter is None else float(self.jitter.fraction)
+        return math.floor(flight / float(self.sample_period) + late) + 1
 
     def instant(self, k: RealScalarLike) -> RealScalarLike:
         """The time [s] of sample k = 0, 1, ..."""
@@ -193,7 +207,7 @@ class Implementation(AbstractModule):
             "measurement_resolution": None
             if self.measurement_resolution is None
             else np.shape(self.measurement_resolution)[0],
-            "noise": None if self.noise is None else np.shape(self.noise.bounds)[0],
+            "noise": None if self.noise is None else len(self.noise.bounds()),
             "unmatched": len(self.unmatched) + 1 if self.unmatched else None,
         }
         for name, count in counts.items():
@@ -204,7 +218,7 @@ class Implementation(AbstractModule):
             if delay is not None and not is_traced(delay, horizon):
                 require(
                     bool(delay <= horizon),
-                    f"Argument `{name}` must not be longer than the horizon of {show(horizon)} s, but is {show(delay)}.",
+                    f"Argument `{name}` must not be longer than the horizon, {show(horizon)} s, but is {show(delay)}.",
                 )
 
 

@@ -18,17 +18,15 @@ from qsmc_jax.model.disturbances.disturbance import require_disturbances
 
 
 class AbstractNoise(AbstractModule):
-    """Noise on the measured states, fixed for a run: a run can be solved again, noise and all.
-
-    Attributes:
-        bounds: A bound on the absolute noise of each state, n numbers; `inf` if there is none.
-    """
-
-    bounds: eqx.AbstractVar[Float[Array, " n"]]
+    """Noise on the measured states, fixed for a run: a run can be solved again, noise and all."""
 
     @abc.abstractmethod
     def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
         """The noise on each state in sample `k` = 0, 1, ..., taken at time `t` [s]; in units of the state."""
+
+    @abc.abstractmethod
+    def bounds(self) -> Float[Array, " n"]:
+        """A bound on the absolute noise of each state; `inf` if there is none."""
 
 
 class White(AbstractNoise):
@@ -48,27 +46,29 @@ class White(AbstractNoise):
     def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
         return _scaled(self.std, normals(self.seed, k, np.shape(self.std)[0]))
 
-    @property
     def bounds(self) -> Float[Array, " n"]:
         return jnp.where(self.std > 0.0, jnp.inf, 0.0)
 
 
 class Uniform(AbstractNoise):
-    """Uniform between the bounds, independent from sample to sample and from state to state.
+    """Uniform in an interval around zero, independent from sample to sample and from state to state.
 
     Attributes:
-        bounds: Largest absolute noise on each state, not negative.
+        amplitude: Largest absolute noise on each state, not negative.
         seed: The realisation, a number in [0, 1).
     """
 
-    bounds: Float[Array, " n"] = float_field()
+    amplitude: Float[Array, " n"] = float_field()
     seed: Float[Array, ""] = float_field(default=0.0)
 
     def __check_init__(self):
-        require_nonnegative("bounds", self.bounds)
+        require_nonnegative("amplitude", self.amplitude)
 
     def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
-        return _scaled(self.bounds, uniforms(self.seed, k, np.shape(self.bounds)[0]))
+        return _scaled(self.amplitude, uniforms(self.seed, k, np.shape(self.amplitude)[0]))
+
+    def bounds(self) -> Float[Array, " n"]:
+        return jnp.asarray(self.amplitude)
 
 
 class Signals(AbstractNoise):
@@ -86,7 +86,6 @@ class Signals(AbstractNoise):
     def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
         return tuple(signal(t) for signal in self.signals)
 
-    @property
     def bounds(self) -> Float[Array, " n"]:
         return jnp.stack([jnp.asarray(signal.bound, float) for signal in self.signals])
 
@@ -96,15 +95,15 @@ def white(draw: Draw, name: str, std: Sequence[Any] | np.ndarray | Array) -> Whi
     return White(as_float64(std), draw.uniform(f"{name}.seed", 0.0, 1.0))
 
 
-def uniform(draw: Draw, name: str, bounds: Sequence[Any] | np.ndarray | Array) -> Uniform:
-    """White noise between the given bounds; the realisation is drawn as `<name>.seed`."""
-    return Uniform(as_float64(bounds), draw.uniform(f"{name}.seed", 0.0, 1.0))
+def uniform(draw: Draw, name: str, amplitude: Sequence[Any] | np.ndarray | Array) -> Uniform:
+    """White noise of the given amplitudes; the realisation is drawn as `<name>.seed`."""
+    return Uniform(as_float64(amplitude), draw.uniform(f"{name}.seed", 0.0, 1.0))
 
 
 def coloured(
     draw: Draw,
     name: str,
-    bounds: Sequence[Any] | np.ndarray | Array,
+    amplitude: Sequence[Any] | np.ndarray | Array,
     terms: int = 8,
     frequencies: tuple[float, float] = (1.0, 100.0),
 ) -> Signals:
@@ -113,14 +112,14 @@ def coloured(
     Args:
         draw: The scenario's source of named numbers.
         name: Prefix of the names `[i].amplitude`, `[i].frequency` [rad/s], `[i].phase` [rad].
-        bounds: Largest absolute noise on each state, not negative.
+        amplitude: Largest absolute noise on each state, not negative.
         terms: Number of sines a state, at least 1.
         frequencies: Lowest and highest angular frequency [rad/s], log-uniform between.
     """
-    bounds = as_float64(bounds)
-    require_nonnegative("bounds", bounds)
-    signals = (random_sines(draw, f"{name}[{i}]", 1.0, terms, frequencies) for i in range(bounds.shape[0]))
-    return Signals(tuple(bounds[i] * signal for i, signal in enumerate(signals)))
+    sizes = as_float64(amplitude)
+    require_nonnegative("amplitude", sizes)
+    sines = (random_sines(draw, f"{name}[{i}]", 1.0, terms, frequencies) for i in range(sizes.shape[0]))
+    return Signals(signals=tuple(sizes[i] * sine for i, sine in enumerate(sines)))
 
 
 def _scaled(scales: Float[Array, " n"], values: Scalars) -> Scalars:

@@ -1,6 +1,5 @@
 """One run as plain numbers and as a table of its signals."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,9 @@ from qsmc_jax.simulation.trajectory import Trajectory
 
 def figures_as_numbers(run: Trajectory) -> dict[str, Any]:
     """The figures of a run, with verdicts and outcome by name."""
-    figures = run.figures
-    numbers = {f.name: getattr(figures, f.name) for f in dataclasses.fields(figures)}
     plain = {
-        name: [float(v) for v in value] if isinstance(value, tuple) else value.item() for name, value in numbers.items()
+        name: [float(v) for v in value] if isinstance(value, tuple) else value.item()
+        for name, value in run.figures.named().items()
     }
     verdicts = {name: Verdict(int(plain[name])).name for name in plain if name.startswith("verdict")}
     return {

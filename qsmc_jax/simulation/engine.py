@@ -1,14 +1,17 @@
 """The one place that solves a run: a problem, a start and a horizon in, figures (and signals) out."""
 
+from typing import cast
+
 import diffrax as dfx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.fence import Fence
-from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
+from qsmc_jax.base.types import RealScalarLike, State
 from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
+from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.coordinates import named_coordinates
 from qsmc_jax.simulation.figures import Ending, Figures, read_figures
@@ -60,10 +63,10 @@ def solve(
 def _solve_sampled(
     problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
 ) -> tuple[Figures, tuple[Array, ...] | None]:
-    horizon, implementation = jnp.asarray(t1), problem.loop.implementation
-    is_fit = _is_fit(problem) & implementation.is_valid(horizon)
+    horizon, implementation = jnp.asarray(t1), cast(Implementation, problem.loop.implementation)
+    is_fit = problem.loop.control.is_valid() & implementation.is_valid(horizon)
     refused = jnp.where(is_fit, int(Outcome.COMPLETED), int(Outcome.BAD_PARAMETERS))
-    course = run_sampled(problem, tuple(x0), horizon, is_fit, settings, ts)
+    course = run_sampled(problem, implementation, tuple(x0), horizon, is_fit, settings, ts)
     saved = None if course.saved is None else (*course.saved.x, course.saved.u)
     return read_sampled_figures(problem, refused, horizon, settings.max_steps, course), saved
 
@@ -117,13 +120,7 @@ def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:
     sigma, rho = problem.loop.sliding_variable(0.0, x0), control.funnel(0.0)
     starts_inside = jnp.abs(sigma) < rho
     code = jnp.where(starts_inside, int(Outcome.COMPLETED), int(Outcome.STARTED_OUTSIDE))
-    return jnp.where(_is_fit(problem), code, int(Outcome.BAD_PARAMETERS))
-
-
-def _is_fit(problem: Problem) -> BoolScalarLike:
-    """Whether the funnel is one and the surface Hurwitz."""
-    control = problem.loop.control
-    return control.funnel.is_valid() & control.surface.is_hurwitz()
+    return jnp.where(control.is_valid(), code, int(Outcome.BAD_PARAMETERS))
 
 
 def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:

@@ -1,5 +1,7 @@
 """From the end of a solve to what a user reads: outcome, verdict per claim, and the figures of one run."""
 
+import dataclasses
+from typing import Any
 
 import diffrax as dfx
 import jax.numpy as jnp
@@ -24,9 +26,10 @@ class SampledFigures(AbstractModule):
         recovery_time: Time after which |sigma| < rho for good [s]; 0 if it never was outside, inf if it ends there.
         peak_excess: sup (|sigma| - rho), in units of the sliding variable; negative inside the funnel.
         excess_variation_u: In the steady phase, total variation of u less that of the equivalent input -w/g.
-        reversal_rate: Reversals of the command per time in the steady phase [1/s], with a hysteresis of 1 % of its range.
-        high_frequency_ratio: Part of the power of u above the cutoff frequency in the steady phase [-].
-        peak_rate_u: Largest change of the command from sample to sample over the period, in the steady phase.
+        reversal_rate: Reversals of the command per time in the steady phase [1/s], with 1 % of its range as hysteresis.
+        high_frequency_ratio: Power of u above the cutoff frequency over all of it in the steady phase [-]; it may pass
+            1 where u dies out.
+        peak_rate_u: In the steady phase, largest change of the command from sample to sample over the period.
     """
 
     recovery_time: Float[Array, ""]
@@ -85,6 +88,12 @@ class Figures(AbstractModule):
     largest_disturbance: Float[Array, ""]
     steps: Int[Array, ""]
     sampled: SampledFigures | None = None
+
+    def named(self) -> dict[str, Any]:
+        """Every figure by its name, those of `sampled` among them."""
+        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        sampled = own.pop("sampled")
+        return own if sampled is None else {**own, **vars(sampled)}
 
 
 class Ending(AbstractModule):

@@ -1,11 +1,12 @@
-"""A loop at one instant, as far as the input has no say in it; and one open-loop cell, from an instant to a later one."""
+"""A loop at one instant, as far as the input has no say in it; and an open-loop cell, from one instant to another."""
 
 import jax.numpy as jnp
 
 from qsmc_jax.base.hermite import Cubic
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.loop import ClosedLoop, Terms
+from qsmc_jax.loop import Terms
+from qsmc_jax.simulation.tally import Problem
 
 
 class Instant(AbstractModule):
@@ -48,12 +49,13 @@ class Instant(AbstractModule):
         return jnp.where(has_gain, -self.residual / jnp.where(has_gain, self.terms.gain, 1.0), 0.0)
 
 
-def at_instant(loop: ClosedLoop, t: RealScalarLike, x: Scalars) -> Instant:
+def at_instant(problem: Problem, t: RealScalarLike, x: Scalars) -> Instant:
     """The loop at time t and state x."""
-    terms, desired = loop.terms(t, x), loop.desired(t)
+    loop, fence = problem.loop, problem.fence
+    terms, desired = fence((loop.terms(t, x), loop.desired(t)))
     errors = tuple(xi - di for xi, di in zip(x, desired, strict=False))
     drift = tuple(rate - di for rate, di in zip(loop.rates(terms, x, 0.0), desired[1:], strict=True))
-    surface, (rho, rho_rate) = loop.control.surface, loop.control.funnel.width_and_rate(t)
+    surface, (rho, rho_rate) = loop.control.surface, fence(loop.control.funnel.width_and_rate(t))
     return Instant(t, x, terms, errors, drift, surface(errors), surface(drift), rho, rho_rate)
 
 

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 
 from qsmc_jax.base.linear import Factors, eliminate, substitute
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.simulation.quartic_interpolation import QuarticInterpolation
 from qsmc_jax.simulation.explicit import weighted
+from qsmc_jax.simulation.quartic_interpolation import QuarticInterpolation
 from qsmc_jax.simulation.tsit5 import derivative_at_start
 
 # Part of the error between the ends of a step that counts like one at its end, which stays.

@@ -53,7 +53,7 @@ def read_sampled_figures(
         total_variation_u=known(cells.total_variation),
         least_gain=cells.least_gain,
         largest_disturbance=cells.largest_disturbance,
-        steps=course.steps.astype(int),
+        steps=jnp.asarray(course.steps).astype(int),
         sampled=SampledFigures(
             recovery_time=known(recovery_time, jnp.inf),
             peak_excess=known(cells.peak_excess, cells.peak_excess),
@@ -89,7 +89,7 @@ def _verdicts(
     reach_time: RealScalarLike,
     settle_time: RealScalarLike,
 ) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
-    """The verdicts on the three claims of Theorem 1, each on its own: a run may leave the funnel and still reach its end.
+    """The verdicts on the three claims of Theorem 1, each on its own: a run may leave the funnel and come back.
 
     A run that was lost has broken all three; one that could not be finished decides only the first, and only if it has
     left the funnel. Tracking is a limit, as in the ideal loop.

@@ -2,16 +2,15 @@
 
 Between events the plant's right-hand side is smooth (the feedback stands still), so an explicit method is always right,
 and the tangent's pole, which no step can jump over here, is met by the law alone, which says what it does there. Every
-cell ends at the next event at the latest, each run at its own; cells are shorter only where the plant itself asks for it.
+cell ends at the next event at the latest, each run at its own; cells are shorter only where the plant asks for it.
 """
 
 import dataclasses
-from typing import Any
 
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.module import AbstractModule
@@ -62,11 +61,12 @@ class Computer(AbstractModule):
 
 
 class Saved(AbstractModule):
-    """States and inputs at the times asked for, and how many there are so far."""
+    """States and inputs at the times asked for, `ts`, and how many there are so far."""
 
+    ts: Float[Array, " times"]
     x: tuple[Float[Array, " times"], ...]
     u: Float[Array, " times"]
-    count: Any
+    count: Int[Array, ""]
 
 
 class Course(AbstractModule):
@@ -109,11 +109,11 @@ class Plan(AbstractModule):
     cutoff: RealScalarLike
     rtol: RealScalarLike
     max_steps: int
-    ts: Float[Array, " times"] | None
 
 
 def run_sampled(
     problem: Problem,
+    implementation: Implementation,
     x0: Scalars,
     horizon: RealScalarLike,
     is_admitted: BoolScalarLike,
@@ -124,15 +124,15 @@ def run_sampled(
 
     Args:
         problem: The loop and its thresholds.
+        implementation: Its implementation.
         x0: The start, n scalars.
         horizon: The horizon [s].
         is_admitted: Whether there is anything to run; if not, no step is taken.
         settings: `rtol` (of the sliding variable, relative to the funnel) and `max_steps`.
         ts: Times [s] at which to save states and inputs, or None.
     """
-    plan = _plan(problem, horizon, settings, ts)
-    implementation, zero = plan.implementation, jnp.zeros(())
-    start = jax.tree.map(jnp.asarray, at_instant(problem.loop, zero, tuple(map(jnp.asarray, x0))))
+    plan, zero = _plan(problem, implementation, horizon, settings), jnp.zeros(())
+    start = jax.tree.map(jnp.asarray, at_instant(problem, zero, tuple(map(jnp.asarray, x0))))
     distance = jnp.abs(start.sigma) / start.rho
     computer = Computer(
         memory=tuple(map(jnp.asarray, problem.loop.control.first_memory())),
@@ -154,24 +154,20 @@ def run_sampled(
         farthest=_LOST * jnp.maximum(1.0, distance),
         cells=first_cell_tally(problem, start),
         commands=first_command_tally(),
-        saved=None if ts is None else Saved((jnp.zeros_like(ts),) * len(x0), jnp.zeros_like(ts), jnp.array(0)),
+        saved=None if ts is None else Saved(ts, (jnp.zeros_like(ts),) * len(x0), jnp.zeros_like(ts), jnp.array(0)),
     )
     return jax.lax.while_loop(lambda course: course.is_running, lambda course: _advance(plan, course), first)
 
 
-def _plan(
-    problem: Problem, horizon: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
-) -> Plan:
-    loop = problem.loop
-    implementation, funnel = loop.implementation, loop.control.funnel
-    assert implementation is not None  # the caller's business
+def _plan(problem: Problem, implementation: Implementation, horizon: RealScalarLike, settings: SolverSettings) -> Plan:
+    loop, funnel = problem.loop, problem.loop.control.funnel
     # A cell ends just before a jump, and the next one, of no length, takes it.
     breaks = jnp.append(loop.break_times, problem.reaching_time)
     breaks = jnp.concatenate([jnp.nextafter(breaks, -jnp.inf), breaks])
     degree = loop.order - 1
     rate = funnel.mu if degree == 0 else jnp.maximum(funnel.mu, jnp.abs(loop.control.surface.c[0]) ** (1.0 / degree))
     cutoff = 5.0 * rate if implementation.cutoff is None else implementation.cutoff
-    return Plan(problem, implementation, horizon, breaks, cutoff, settings.rtol, settings.max_steps, ts)
+    return Plan(problem, implementation, horizon, breaks, cutoff, settings.rtol, settings.max_steps)
 
 
 def _advance(plan: Plan, course: Course) -> Course:
@@ -195,8 +191,8 @@ def _next_event(plan: Plan, course: Course) -> tuple[RealScalarLike, RealScalarL
     if implementation.is_late:
         event = jnp.minimum(event, jnp.where(computer.arrival < computer.sample, _arrival_time(plan, course), jnp.inf))
     event = jnp.minimum(event, jnp.min(jnp.where(plan.breaks > t, plan.breaks, jnp.inf)))
-    if plan.ts is not None:
-        event = jnp.minimum(event, _save_time(plan, course))
+    if course.saved is not None:
+        event = jnp.minimum(event, _save_time(course.saved))
     left = event - t
     parts = jnp.ceil(left / course.step)
     return event, jnp.where(parts <= 1.0, event, t + left / jnp.maximum(parts, 1.0))
@@ -215,16 +211,15 @@ def _arrival_time(plan: Plan, course: Course) -> RealScalarLike:
     return jnp.maximum(instant if delay is None else instant + delay, course.now.t)
 
 
-def _save_time(plan: Plan, course: Course) -> RealScalarLike:
-    assert plan.ts is not None and course.saved is not None
-    count = course.saved.count
-    is_left = count < plan.ts.shape[0]
-    return jnp.where(is_left, plan.ts[jnp.minimum(count, plan.ts.shape[0] - 1)], jnp.inf)
+def _save_time(saved: Saved) -> RealScalarLike:
+    """The next of the times asked for."""
+    last = saved.ts.shape[0] - 1
+    return jnp.where(saved.count <= last, saved.ts[jnp.minimum(saved.count, last)], jnp.inf)
 
 
 def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scalars, RealScalarLike]:
     """The cell from now to `end`, the actuator there, and the estimated error in units of what is allowed."""
-    loop, now = plan.problem.loop, course.now
+    loop, fence, now = plan.problem.loop, plan.problem.fence, course.now
 
     def actuator_at(t: RealScalarLike) -> Scalars:
         actuator = plan.implementation.actuator
@@ -234,13 +229,14 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
         return course.computer.held if plan.implementation.actuator is None else actuator_at(t)[0]
 
     def field(t: RealScalarLike, x: Scalars) -> Scalars:
-        return loop.rates(loop.terms(t, x), x, input_at(t))
+        x = fence(x)  # as below, so that the last stage is computed but once
+        return loop.rates(fence(loop.terms(t, x)), x, input_at(t))
 
     u0 = course.actuator[0] if course.actuator else course.computer.held
     first = loop.rates(now.terms, now.x, u0)
     x1, stages = explicit_stages(_TABLEAU, field, now.t, end, now.x, first)
-    x1 = plan.problem.fence(x1)
-    right = at_instant(loop, end, x1)
+    x1 = fence(x1)
+    right = at_instant(plan.problem, end, x1)
     h = end - now.t
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
     allowed = plan.rtol * (right.rho + jnp.abs(right.sigma))
@@ -258,11 +254,10 @@ def _step_factor(error: RealScalarLike) -> RealScalarLike:
 
 def _handle(plan: Plan, course: Course, has_event: BoolScalarLike) -> Course:
     """What happens at the end of a cell: a command arrives, a sample is taken, a state is saved."""
-    t, implementation = course.now.t, plan.implementation
-    computer, commands = course.computer, course.commands
-    if implementation.is_late:
+    t, computer, commands = course.now.t, course.computer, course.commands
+    if computer.queue is not None:
         arrives = has_event & (computer.arrival < computer.sample) & (t >= _arrival_time(plan, course))
-        place = (computer.arrival % implementation.queue).astype(int)
+        place = _place(computer.arrival, computer.queue)
         computer = dataclasses.replace(
             computer,
             held=jnp.where(arrives, computer.queue[place], computer.held),
@@ -273,7 +268,8 @@ def _handle(plan: Plan, course: Course, has_event: BoolScalarLike) -> Course:
     computer = trees.where(samples, sampled, computer)
     commands = trees.where(samples, tallied, commands)
     course = dataclasses.replace(course, computer=computer, commands=commands)
-    return course if course.saved is None else _save(plan, course, has_event & (t >= _save_time(plan, course)))
+    saved = course.saved
+    return course if saved is None else _save(course, saved, has_event & (t >= _save_time(saved)))
 
 
 def _sample(plan: Plan, course: Course, computer: Computer) -> tuple[Computer, CommandTally]:
@@ -300,21 +296,24 @@ def _sample(plan: Plan, course: Course, computer: Computer) -> tuple[Computer, C
     new = dataclasses.replace(computer, memory=memory, sent=command, sample=k + 1.0)
     if computer.queue is None:
         return dataclasses.replace(new, held=command), tallied
-    place = (k % implementation.queue).astype(int)
-    is_full = k - computer.arrival >= implementation.queue
+    place = _place(k, computer.queue)
+    is_full = k - computer.arrival >= computer.queue.shape[0]
     queue, has_overflown = computer.queue.at[place].set(command), computer.has_overflown | is_full
     return dataclasses.replace(new, queue=queue, has_overflown=has_overflown), tallied
 
 
-def _save(plan: Plan, course: Course, is_time: BoolScalarLike) -> Course:
+def _place(k: RealScalarLike, queue: Float[Array, " queue"]) -> Int[Array, ""]:
+    """Where in the queue the command of sample k lies."""
+    return jnp.asarray(k % queue.shape[0]).astype(int)
+
+
+def _save(course: Course, saved: Saved, is_time: BoolScalarLike) -> Course:
     """The signals at the time asked for, after whatever happened at it."""
-    saved = course.saved
-    assert saved is not None
     u = course.actuator[0] if course.actuator else course.computer.held
     place = jnp.where(is_time, saved.count, saved.u.shape[0])  # out of bounds: dropped
     x = tuple(old.at[place].set(xi, mode="drop") for old, xi in zip(saved.x, course.now.x, strict=True))
-    count = saved.count + is_time.astype(saved.count.dtype)
-    return dataclasses.replace(course, saved=Saved(x, saved.u.at[place].set(u, mode="drop"), count))
+    count = saved.count + jnp.where(is_time, 1, 0)
+    return dataclasses.replace(course, saved=Saved(saved.ts, x, saved.u.at[place].set(u, mode="drop"), count))
 
 
 def _judged(plan: Plan, course: Course) -> Course:

@@ -19,7 +19,7 @@ _SQRT2 = 2.0**0.5
 
 
 class Filter(AbstractModule):
-    r"""A second-order Butterworth high-pass filter, $s^2 / (s^2 + \sqrt 2 \omega s + \omega^2)$, and what it has let through.
+    r"""A Butterworth high-pass filter, $s^2 / (s^2 + \sqrt 2 \omega s + \omega^2)$, and what it has let through.
 
     Attributes:
         low: Output of the low-pass filter beside it.
@@ -35,8 +35,15 @@ class Filter(AbstractModule):
 
 
 class Reversals(AbstractModule):
-    """Turns of the command with hysteresis: the direction (0 before the first move), the extreme since the last turn, the range
-    so far, and the count."""
+    """Turns of the command with hysteresis.
+
+    Attributes:
+        direction: 1 or -1; 0 before the first move.
+        extreme: The extreme since the last turn.
+        least: Least command so far.
+        largest: Largest command so far.
+        count: Turns so far.
+    """
 
     direction: RealScalarLike
     extreme: RealScalarLike
@@ -53,9 +60,10 @@ class CommandTally(AbstractModule):
 
 
 class CellTally(AbstractModule):
-    """The figures of the plant and its input, all scalars; see `Figures` and `Chattering` for what becomes of them.
+    """The figures of the plant and its input, all scalars; see `Figures` for what becomes of them.
 
-    `first_exit` is the first cell with |z| >= 1 somewhere, `last_exit` the last, `outside` the last with |sigma| >= bandwidth.
+    `first_exit` is the first cell with |z| >= 1 somewhere, `last_exit` the last, `outside` the last with |sigma| >=
+    bandwidth.
     """
 
     peak_ratio: RealScalarLike
@@ -149,7 +157,11 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
 
 
 def add_command(
-    tally: CommandTally, command: RealScalarLike, last: RealScalarLike, period: RealScalarLike, is_steady: BoolScalarLike
+    tally: CommandTally,
+    command: RealScalarLike,
+    last: RealScalarLike,
+    period: RealScalarLike,
+    is_steady: BoolScalarLike,
 ) -> CommandTally:
     """The figures after one more command."""
     rate = jnp.abs(command - last) / period

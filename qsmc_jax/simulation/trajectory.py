@@ -92,9 +92,22 @@ class Trajectory(AbstractModule):
                 f"total variation {float(f.total_variation_u):.6g}",
                 f"  |sigma| < {float(self.bandwidth):.4g} for good after {float(f.reach_time):.6g} s "
                 f"(t_r = {self.reaching_time:.6g} s)",
+                *_sampled_lines(f),
                 f"  {self.outcome.name}: {self.outcome.advice}",
             )
         )
+
+
+def _sampled_lines(figures: Figures) -> list[str]:
+    """What a loop with an implementation has to say besides."""
+    f = figures.sampled
+    if f is None:
+        return []
+    return [
+        f"  sup (|sigma| - rho) {float(f.peak_excess):.4g}, inside for good after {float(f.recovery_time):.4g} s",
+        f"  steady: excess variation of u {float(f.excess_variation_u):.4g}, reversals {float(f.reversal_rate):.4g} "
+        f"1/s, power above cutoff {100 * float(f.high_frequency_ratio):.3g} %, rate {float(f.peak_rate_u):.4g} 1/s",
+    ]
 
 
 def simulate(
@@ -204,7 +217,7 @@ def _sampled_signals(problem: Problem, t: Array, saved: tuple[Array, ...]) -> tu
     """The same of a loop with an implementation, from its state and input."""
     loop, (*x, u) = problem.loop, saved
     desired, e = loop.desired(t)[:-1], loop.errors(t, x)
-    sigma, rho, d = loop.control.surface(e), loop.control.funnel(t), jnp.asarray(loop.disturbance(t))
+    sigma, rho, d = jnp.asarray(loop.control.surface(e)), loop.control.funnel(t), jnp.asarray(loop.disturbance(t))
     return jnp.stack(x), jnp.stack(desired), jnp.stack(e), sigma, rho, u, d
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools as ft
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import jax
@@ -153,17 +153,9 @@ def _table(study: Study, indices: np.ndarray, record: Mapping[str, np.ndarray], 
         flat = record[spec.name].reshape(len(record[spec.name]), -1)
         columns.update({name: flat[:rows, i] for i, name in enumerate(spec.columns)})
     names = tuple(columns)[1:]
-    columns.update({name: value[:rows] for name, value in _flat(figures)})
+    for name, value in figures.named().items():
+        if isinstance(value, tuple):
+            columns.update({f"peak_error[{i}]": peak[:rows] for i, peak in enumerate(value)})
+        else:
+            columns[name] = value[:rows]
     return Runs(columns, names)
-
-
-def _flat(figures: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Name and values of each figure, those of a part beside those of the whole."""
-    for field in dataclasses.fields(figures):
-        value = getattr(figures, field.name)
-        if field.name == "peak_errors":
-            yield from ((f"peak_error[{i}]", peak) for i, peak in enumerate(value))
-        elif dataclasses.is_dataclass(value):
-            yield from _flat(value)
-        elif value is not None:
-            yield field.name, value

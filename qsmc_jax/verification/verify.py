@@ -16,6 +16,7 @@ from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study
+from qsmc_jax.verification.decided import through
 from qsmc_jax.verification.ladder import Ladder, firmer, is_doubtful
 from qsmc_jax.verification.result import Claim, NumericalError, Verification
 from qsmc_jax.verification.statistics import clopper_pearson
@@ -81,10 +82,11 @@ def verify(
     summary = Summary(worst, longest_reach=_longest_reach(study))
     ladder = Ladder(solve, settings, block)
     sample: list[Runs] = []
-    for table in solve(range(runs), settings=settings, progress=progress, workload=workload):
+    for table in through(ladder, solve(range(runs), settings=settings, progress=progress, workload=workload)):
         sample = sample or [table.take(~is_doubtful(table)).take(slice(max(block - worst, 1)))]
-        _take(ladder.feed(table), summary, sink)
-    _take(ladder.finish(), summary, sink)
+        summary.add(table)
+        if sink is not None:
+            sink(table)
     checked = concatenate([*sample, *summary.worst])
     numerical_error = _numerical_error(checked, solve, settings)
     return Verification(
@@ -107,13 +109,6 @@ def verify(
         occupancy=workload.occupancy,
         solve_seconds=time.perf_counter() - begin,
     )
-
-
-def _take(tables: Iterator[Runs], summary: Summary, sink: Sink | None) -> None:
-    for table in tables:
-        summary.add(table)
-        if sink is not None:
-            sink(table)
 
 
 def _longest_reach(study: Study) -> float:

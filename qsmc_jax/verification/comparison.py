@@ -1,0 +1,262 @@
+"""Several studies on the same random numbers: how often each is violated, and what each costs, run by run."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.monte_carlo import BLOCK, Progress
+from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.study import Study
+from qsmc_jax.verification.comparison_plots import plot_comparison
+from qsmc_jax.verification.decided import decide, part_of
+from qsmc_jax.verification.simultaneous import each_of, median_interval
+from qsmc_jax.verification.statistics import clopper_pearson
+
+METRICS = (
+    "peak_ratio",
+    "peak_u",
+    "energy_u",
+    "total_variation_u",
+    "rms_error",
+    "excess_variation_u",
+    "reversal_rate",
+    "high_frequency_ratio",
+    "peak_rate_u",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A median and its interval.
+
+    Attributes:
+        median: The median; NaN if there is no value.
+        low: Lower end of the interval.
+        high: Upper end.
+        runs: Runs in which the value is known.
+    """
+
+    median: float
+    low: float
+    high: float
+    runs: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """What was found for one study.
+
+    Attributes:
+        name: Its name.
+        held: Runs in which the funnel claim held.
+        violated: Runs in which it did not.
+        undecided: Runs that could not be decided; counted both ways in the interval.
+        inadmissible: Runs in which a premise does not hold; not counted in the interval.
+        low: Lower end of the interval of the violation probability.
+        high: Upper end.
+        medians: By figure, its median over the runs in which it is known.
+        ratios: By figure, the median of its ratio to the same run of the first study, over the runs in which both are
+            finite and that of the first is positive; empty for the first study itself.
+    """
+
+    name: str
+    held: int
+    violated: int
+    undecided: int
+    inadmissible: int
+    low: float
+    high: float
+    medians: Mapping[str, Estimate]
+    ratios: Mapping[str, Estimate]
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """What `compare` found.
+
+    Attributes:
+        studies: What was found for each study, in order; the first is the one that the others are held against.
+        metrics: The figures compared.
+        runs: Runs of each study, with the same random numbers.
+        seed: Their seed.
+        confidence: That all intervals hold together.
+        intervals: How many there are.
+    """
+
+    studies: tuple[Compared, ...]
+    metrics: tuple[str, ...]
+    runs: int
+    seed: int
+    confidence: float
+    intervals: int
+
+    def __getitem__(self, name: str) -> Compared:
+        found = {study.name: study for study in self.studies}
+        require(name in found, f"There is no study `{name}`. There are: {', '.join(found)}.")
+        return found[name]
+
+    def table(self) -> dict[str, Any]:
+        """All intervals as columns, a row each: study, quantity, kind, estimate, low, high, runs."""
+        rows = list(self._intervals())
+        keys = ("study", "quantity", "kind", "estimate", "low", "high", "runs")
+        return {key: np.array(column) for key, column in zip(keys, zip(*rows, strict=True), strict=True)}
+
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain numbers and texts, ready for JSON."""
+        return dataclasses.asdict(self)
+
+    def plot(self) -> Any:
+        """The probability of leaving the funnel and the median of each figure, with their intervals."""
+        return plot_comparison(self)
+
+    def __str__(self) -> str:
+        width = max(12, *(len(study.name) for study in self.studies))
+        head = (
+            f"{'study':{width}}{'held':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   violation probability"
+        )
+        rows = [f"{self.runs} runs each, on the same random numbers, seed {self.seed}", head]
+        for s in self.studies:
+            counts = f"{s.held:9d}{s.violated:10d}{s.undecided:11d}{s.inadmissible:14d}"
+            rows.append(f"{s.name:{width}}{counts}   [{s.low:.3g}, {s.high:.3g}]")
+        rows.append(f"{'median of':22}{'study':{width}}{'':34}  ratio to `{self.studies[0].name}`, run by run")
+        for metric in self.metrics:
+            for s in self.studies:
+                if metric in s.medians:
+                    ratio = f"  {_show(s.ratios[metric])}" if metric in s.ratios else ""
+                    rows.append(f"{metric:22}{s.name:{width}}{_show(s.medians[metric]):34}{ratio}".rstrip())
+        rows.append(f"All {self.intervals} intervals hold together with {100 * self.confidence:g} % confidence.")
+        return "\n".join(rows)
+
+    def _intervals(self) -> Iterator[tuple[Any, ...]]:
+        for s in self.studies:
+            total = s.held + s.violated + s.undecided
+            estimate = s.violated / total if total else float("nan")
+            yield s.name, "violation", "probability", estimate, s.low, s.high, total
+            for kind, estimates in (("median", s.medians), ("ratio", s.ratios)):
+                for metric, e in estimates.items():
+                    yield s.name, metric, kind, e.median, e.low, e.high, e.runs
+
+
+def compare(
+    studies: Mapping[str, Study],
+    runs: int = 1000,
+    seed: int = 0,
+    confidence: float = 0.95,
+    *,
+    metrics: Sequence[str] | None = None,
+    settings: SolverSettings | None = None,
+    block: int = BLOCK,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Compares studies that draw the same names, such as one loop under several controllers, run by run.
+
+    Run i has the same point of the unit cube in all of them (common random numbers). Doubtful runs are solved again on
+    firmer rungs, as in `verify`. Medians have exact intervals from order statistics; a figure that is not known in
+    every run (most are unknown after a violation) has the median of those in which it is: mind the counts.
+
+    Args:
+        studies: The studies by name; the first is the one that the others are held against.
+        runs: Runs of each study, at least 1.
+        seed: Seed, 0 <= seed < 2**63.
+        confidence: That all intervals hold together (Bonferroni), strictly between 0 and 1.
+        metrics: Figures to compare, columns of every study; None for peaks, energy, variation and error, and the
+            chattering figures of the studies that have them.
+        settings: Method and tolerances of the first solve; None for the defaults.
+        block: Runs solved together, a multiple of 64.
+        threads: Blocks solved at the same time; None for one a core.
+        progress: Called as `progress(done, runs * len(studies))` after each block.
+
+    Returns:
+        The comparison; `print` it, or `plot` it.
+
+    Raises:
+        ValueError: An argument is out of range, the studies draw different names, or a figure does not exist.
+    """
+    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
+    _require_same_names(studies)
+    settings, tables = settings or SolverSettings(), {}
+    for number, (name, study) in enumerate(studies.items()):
+        told = part_of(progress, number * runs, runs * len(studies))
+        rows = decide(study, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
+        tables[name] = _kept(concatenate(list(rows)), metrics)
+    first = next(iter(tables.values()))
+    pairs = {name: {} if table is first else _ratios(table, first) for name, table in tables.items()}
+    known = {
+        name: {m: _known(table[m]) for m in table if m not in ("index", "verdict")} for name, table in tables.items()
+    }
+    intervals = sum(1 + len(known[name]) + len(pairs[name]) for name in studies)
+    each = each_of(intervals, confidence)
+    return Comparison(
+        studies=tuple(_compared(name, tables[name], known[name], pairs[name], each) for name in studies),
+        metrics=tuple(m for m in metrics or METRICS if any(m in table.columns for table in tables.values())),
+        runs=runs,
+        seed=seed,
+        confidence=confidence,
+        intervals=intervals,
+    )
+
+
+def _require_same_names(studies: Mapping[str, Study]) -> None:
+    """Raises unless the studies take the same coordinates for the same names."""
+    require(len(studies) >= 1, "Argument `studies` must have at least one study, but is empty.")
+    drawn = {name: tuple((s.name, s.shape) for s in study.specs if s.size) for name, study in studies.items()}
+    (first, expected), *others = drawn.items()
+    for name, found in others:
+        require(
+            found == expected,
+            f"Argument `studies` must draw the same names, in the same order and of the same shapes, but `{first}` "
+            f"draws {_listed(expected)} and `{name}` draws {_listed(found)}. Draw in all of them what one needs.",
+        )
+
+
+def _listed(drawn: tuple[tuple[str, tuple[int, ...]], ...]) -> str:
+    return ", ".join(f"{name}{list(shape) if shape else ''}" for name, shape in drawn) or "nothing"
+
+
+def _kept(table: Runs, metrics: Sequence[str] | None) -> Runs:
+    """The columns that are compared, in the order of the indices."""
+    wanted = METRICS if metrics is None else metrics
+    columns = {m: table[m] for m in wanted if metrics is not None or m in table.columns}
+    return Runs({"index": table["index"], "verdict": table["verdict"], **columns}, ()).take(np.argsort(table["index"]))
+
+
+def _ratios(table: Runs, first: Runs) -> dict[str, np.ndarray]:
+    """By figure, the ratios to the same run of the first study where both are known."""
+    ratios = {}
+    for metric in table:
+        if metric not in ("index", "verdict") and metric in first.columns:
+            ours, theirs = table[metric], first[metric]
+            known = np.isfinite(ours) & np.isfinite(theirs) & (theirs > 0.0)
+            ratios[metric] = ours[known] / theirs[known]
+    return ratios
+
+
+def _known(values: np.ndarray) -> np.ndarray:
+    return values[~np.isnan(values)]
+
+
+def _compared(
+    name: str, table: Runs, known: Mapping[str, np.ndarray], ratios: Mapping[str, np.ndarray], each: float
+) -> Compared:
+    counts = table.counts()
+    held, violated, undecided = counts[Verdict.HELD], counts[Verdict.VIOLATED], counts[Verdict.UNDECIDED]
+    low, high = clopper_pearson(violated, undecided, held + violated + undecided, each)
+    medians = {metric: _estimate(values, each) for metric, values in known.items()}
+    paired = {metric: _estimate(values, each) for metric, values in ratios.items()}
+    return Compared(name, held, violated, undecided, counts[Verdict.INADMISSIBLE], low, high, medians, paired)
+
+
+def _estimate(values: np.ndarray, confidence: float) -> Estimate:
+    median = float(np.median(values)) if values.size else float("nan")
+    return Estimate(median, *median_interval(values, confidence), values.size)
+
+
+def _show(e: Estimate) -> str:
+    return f"{e.median:.4g} [{e.low:.4g}, {e.high:.4g}] ({e.runs})"

@@ -1,0 +1,81 @@
+"""The picture of a comparison: for each study the probability of leaving the funnel, and medians, with intervals."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qsmc_jax.base.plotting import SERIES, new_figure
+
+if TYPE_CHECKING:
+    from qsmc_jax.verification.comparison import Comparison
+
+_COLUMNS = 3
+_LABELS = {
+    "peak_ratio": r"$\sup |\sigma|/\rho$ [-]",
+    "peak_u": r"$\sup |u|$",
+    "energy_u": r"$\int u^2$",
+    "total_variation_u": "total variation of u",
+    "rms_error": "RMS error",
+    "excess_variation_u": "excess variation of u",
+    "reversal_rate": "reversals of u [1/s]",
+    "high_frequency_ratio": "high-frequency part of u [-]",
+    "peak_rate_u": "largest rate of u",
+}
+
+
+def plot_comparison(result: "Comparison") -> Any:
+    """A panel for the violation probability and one for the median of each figure, a line a study in each.
+
+    Args:
+        result: What `compare` returned.
+
+    Returns:
+        A matplotlib `Figure`; save it with `.savefig(path)`.
+    """
+    panels = 1 + len(result.metrics)
+    rows = -(-panels // _COLUMNS)
+    height = 1.1 + 0.32 * len(result.studies)
+    figure, axes = new_figure(rows, min(panels, _COLUMNS), (5.0 * min(panels, _COLUMNS), 0.6 + height * rows))
+    for ax in axes.flat[panels:]:
+        ax.set_visible(False)
+    _probability(axes.flat[0], result)
+    for ax, metric in zip(axes.flat[1:], result.metrics, strict=False):
+        _median(ax, result, metric)
+    for number, ax in enumerate(axes.flat[:panels]):
+        names = [study.name for study in result.studies] if number % _COLUMNS == 0 else []
+        ax.set_yticks(range(len(result.studies)), names or [""] * len(result.studies))
+        ax.set_ylim(len(result.studies) - 0.5, -0.5)
+    sure = f"all {result.intervals} intervals hold together with {100 * result.confidence:g} % confidence"
+    figure.suptitle(f"{result.runs} runs of each on the same random numbers, seed {result.seed}; {sure}", fontsize=10)
+    return figure
+
+
+def _probability(ax: Any, result: "Comparison") -> None:
+    for row, study in enumerate(result.studies):
+        total = study.held + study.violated + study.undecided
+        _point(ax, row, study.violated / total if total else np.nan, study.low, study.high)
+    least = min(study.high for study in result.studies)
+    if least < 0.05:
+        ax.set_xscale("symlog", linthresh=least)
+    ax.set(title="probability of leaving the funnel", xlim=(-0.1 * least, 1.1))
+
+
+def _median(ax: Any, result: "Comparison", metric: str) -> None:
+    found = [(row, study.medians[metric]) for row, study in enumerate(result.studies) if metric in study.medians]
+    for row, estimate in found:
+        _point(ax, row, estimate.median, estimate.low, estimate.high)
+    ends = np.array([[e.low, e.median, e.high] for _, e in found])
+    ends = ends[np.isfinite(ends)]
+    if ends.size and ends.min() > 0.0:
+        ax.set_xscale("log")
+    ax.set(title=f"median: {_LABELS.get(metric, metric)}")
+
+
+def _point(ax: Any, row: int, middle: float, low: float, high: float) -> None:
+    """A dot with its interval; an end that is not finite is left open."""
+    colour = SERIES[row % len(SERIES)]
+    if np.isfinite(middle):
+        reach = [[middle - low if np.isfinite(low) else 0.0], [high - middle if np.isfinite(high) else 0.0]]
+        ax.errorbar([middle], [row], xerr=np.maximum(reach, 0.0), fmt="o", color=colour, capsize=3.0)
+    elif np.isfinite(low) and np.isfinite(high):
+        ax.plot([low, high], [row, row], color=colour)

@@ -1,0 +1,46 @@
+"""The picture of a search for a critical value: every test made, and what it found."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, new_figure
+
+if TYPE_CHECKING:
+    from qsmc_jax.verification.critical_result import CriticalValue
+
+_MARKS = {"below": (BLUE, "o"), "above": (RED, "s"), "open": (GREY, "d")}
+
+
+def plot_critical(result: "CriticalValue") -> Any:
+    """Every test of a search with its interval, and the probability that was to be shown.
+
+    Args:
+        result: What `critical_value` returned.
+
+    Returns:
+        A matplotlib `Figure`; save it with `.savefig(path)`.
+    """
+    figure, axes = new_figure(1, 1, (8.0, 5.4))
+    ax = axes[0, 0]
+    table = result.table()
+    estimate = table["violated"] / np.maximum(table["runs"] - table["inadmissible"], 1)
+    reach = np.abs([estimate - table["low"], table["high"] - estimate])
+    for finding, (colour, mark) in _MARKS.items():
+        rows = table["finding"] == finding
+        if rows.any():
+            ends = reach[:, rows]
+            ax.errorbar(table["value"][rows], estimate[rows], ends, fmt=mark, color=colour, capsize=3, label=finding)
+    ax.axhline(result.below, color=ORANGE, ls="--", label=f"to be shown: below {result.below:g}")
+    if result.shown is not None:
+        ax.axvline(result.shown, color=GREEN, ls=":", label=f"{result.side} shown: {result.shown:.4g}")
+    low, high = result.between
+    if low > 0.0 and high > 10.0 * low:
+        ax.set_xscale("log")
+    ax.set_yscale("symlog", linthresh=result.below)
+    label = f"probability of leaving the funnel (linear below {result.below:g})"
+    ax.set(xlabel=result.name, ylabel=label, ylim=(0.0, 1.1))
+    sure = f"all findings right together with {100 * result.confidence:g} % confidence"
+    ax.set_title(f"{len(result.tests)} tests, {result.runs} runs, seed {result.seed}; {sure}", fontsize=10)
+    ax.legend(loc="best", fontsize=8)
+    return figure

@@ -1,0 +1,164 @@
+"""The result of `critical_value`: the last value shown to be safe, and what that claims."""
+
+import dataclasses
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from qsmc_jax.study.study import Study
+from qsmc_jax.verification.critical_plots import plot_critical
+
+Side: TypeAlias = Literal["largest", "smallest"]
+Finding: TypeAlias = Literal["below", "above", "open"]
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticalTest:
+    """One value of the name against the probability.
+
+    Attributes:
+        value: The value.
+        runs: Runs made.
+        violated: Runs that left the funnel.
+        undecided: Runs that could not be decided; counted both ways in the interval.
+        inadmissible: Runs in which a premise does not hold; not counted in the interval.
+        low: Lower end of the interval of the violation probability.
+        high: Upper end.
+        finding: "below" or "above" where the interval says so, else "open".
+    """
+
+    value: float
+    runs: int
+    violated: int
+    undecided: int
+    inadmissible: int
+    low: float
+    high: float
+    finding: Finding
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticalValue:
+    """What `critical_value` found.
+
+    Attributes:
+        study: The study.
+        name: The name whose value was searched.
+        below: The violation probability that was to be shown.
+        confidence: That all findings are right together.
+        seed: Seed of the runs.
+        between: The two ends of the search.
+        side: "largest" if small values are safe, "smallest" if large ones are; None if the ends did not tell.
+        confidence_each: Confidence of the interval at each look of each test.
+        looks: Numbers of runs at which a test looked.
+        tests: Every test made, in order; the two ends first.
+    """
+
+    study: Study
+    name: str
+    below: float
+    confidence: float
+    seed: int
+    between: tuple[float, float]
+    side: Side | None
+    confidence_each: float
+    looks: tuple[int, ...]
+    tests: tuple[CriticalTest, ...]
+
+    @property
+    def shown(self) -> float | None:
+        """The last value shown below, from the safe end on; None if the safe end was not shown below or not found."""
+        if self.side is None:
+            return None
+        safe = self.tests[0 if self.side == "largest" else 1]
+        if safe.finding != "below":
+            return None
+        values = [test.value for test in self.tests if test.finding == "below"]
+        return max(values) if self.side == "largest" else min(values)
+
+    @property
+    def not_shown(self) -> float | None:
+        """The first value beyond `shown` that was not shown below; None if there is none."""
+        if self.shown is None:
+            return None
+        values = [test.value for test in self.tests if test.finding != "below"]
+        return (min if self.side == "largest" else max)(values, default=None)
+
+    @property
+    def is_found(self) -> bool:
+        """Whether a value was shown below at the safe end, or at both ends."""
+        return self.shown is not None or all(test.finding == "below" for test in self.tests)
+
+    @property
+    def runs(self) -> int:
+        """Runs of all tests together."""
+        return sum(test.runs for test in self.tests)
+
+    def conclusion(self) -> str:
+        """What is claimed, and what is not, in sentences that can be quoted."""
+        sure = f"with {100 * self.confidence:g} % confidence over the whole search"
+        small = f"the probability of leaving the funnel is below {self.below:g}"
+        shown, other = self.shown, self.not_shown
+        if not any(test.finding == "below" for test in self.tests):
+            return f"NOT FOUND: neither at {self._at(0)} nor at {self._at(1)} was it shown that {small}."
+        if not self.is_found:
+            safe, other_end = (0, 1) if self.side == "largest" else (1, 0)
+            return (
+                f"NOT FOUND: the {self.side} value was asked for, but at {self._at(safe)} it was not shown that "
+                f"{small}; at {self._at(other_end)} it was. Try the other `side`."
+            )
+        if other is None:
+            return f"SAFE AT BOTH ENDS: at {self._at(0)} and at {self._at(1)} {small}, {sure}. {self._nothing_else()}"
+        beyond = next(test for test in self.tests if test.value == other)
+        reason = "it is above" if beyond.finding == "above" else f"{beyond.runs} runs leave it open"
+        order = "rises" if self.side == "largest" else "falls"
+        return (
+            f"FOUND: at {self.name} = {shown:.6g} {small}, {sure}. At {other:.6g} this was not shown ({reason}). "
+            f"{self._nothing_else()} That {shown:.6g} is the {self.side} safe value, up to the distance of these two, "
+            f"assumes that the probability {order} with `{self.name}`."
+        )
+
+    def table(self) -> dict[str, Any]:
+        """The tests as columns, a row a test."""
+        rows = [dataclasses.asdict(test) for test in self.tests]
+        return {key: np.array([row[key] for row in rows]) for key in rows[0]}
+
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain numbers and texts, ready for JSON."""
+        return {
+            "name": self.name,
+            "below": self.below,
+            "shown": self.shown,
+            "not_shown": self.not_shown,
+            "side": self.side,
+            "conclusion": self.conclusion(),
+            "confidence": self.confidence,
+            "confidence_each": self.confidence_each,
+            "looks": list(self.looks),
+            "seed": self.seed,
+            "between": list(self.between),
+            "bandwidth": float(self.study.bandwidth),
+            "values": {name: value.tolist() for name, value in self.study.values.items()},
+            "runs": self.runs,
+            "tests": [dataclasses.asdict(test) for test in self.tests],
+        }
+
+    def plot(self) -> Any:
+        """Every test with its interval, and the probability that was to be shown."""
+        return plot_critical(self)
+
+    def __str__(self) -> str:
+        rows = [f"{self.runs} runs, seed {self.seed}, each test with its own"]
+        rows.append(
+            f"{self.name:>14}{'runs':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}  finding  interval"
+        )
+        for t in self.tests:
+            counts = f"{t.runs:9d}{t.violated:10d}{t.undecided:11d}{t.inadmissible:14d}"
+            rows.append(f"{t.value:14.6g}{counts}  {t.finding:7}  [{t.low:.3g}, {t.high:.3g}]")
+        return "\n".join((*rows, self.conclusion()))
+
+    def _at(self, end: int) -> str:
+        return f"{self.name} = {self.between[end]:.6g}"
+
+    def _nothing_else(self) -> str:
+        return "Nothing is claimed of any value that was not tested."

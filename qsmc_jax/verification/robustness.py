@@ -1,0 +1,310 @@
+"""Where a guarantee breaks: the violation probability over a grid of values of one or two names of a study."""
+
+import dataclasses
+import itertools as it
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from qsmc_jax.base.checks import require, require_finite
+from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.draw import check_values
+from qsmc_jax.study.monte_carlo import BLOCK, Progress
+from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.study.study import Study
+from qsmc_jax.verification.decided import decide, part_of
+from qsmc_jax.verification.robustness_plots import plot_map
+from qsmc_jax.verification.simultaneous import simultaneous_intervals
+
+CLAIM_NAMES = ("funnel", "reaching", "tracking")
+METRICS = ("peak_ratio", "excess_variation_u", "reversal_rate")
+
+ThresholdKind = Literal["local", "sufficient", "necessary"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Threshold:
+    """A value of a name at which theory says that something changes; a line in the picture of a map.
+
+    Attributes:
+        name: What it is called in the legend.
+        axis_name: The name of the study whose value it is.
+        value: The value, in the units of that name.
+        kind: "local" (of the linearised loop), "sufficient" (inside it nothing is violated) or "necessary" (beyond it
+            something is).
+
+    Raises:
+        ValueError: The kind is unknown, or the value is not a number.
+    """
+
+    name: str
+    axis_name: str
+    value: float
+    kind: ThresholdKind
+
+    def __post_init__(self):
+        kinds = list(get_args(ThresholdKind))
+        require(self.kind in kinds, f"Argument `kind` must be one of {kinds}, but is {self.kind!r}.")
+        require(not np.isnan(self.value), f"Argument `value` of `{self.name}` must be a number, but is {self.value}.")
+
+
+@dataclasses.dataclass(frozen=True)
+class ClaimMap:
+    """What was found for one claim of Theorem 1, an array a field and a cell of the grid an entry.
+
+    Attributes:
+        held: Runs in which it held.
+        violated: Runs in which it did not.
+        undecided: Runs that could not be decided; counted both ways in the interval.
+        inadmissible: Runs in which a premise does not hold; not counted in the interval.
+        low: Lower ends of the intervals of the violation probability.
+        high: Upper ends.
+    """
+
+    held: Int[np.ndarray, "*cells"]
+    violated: Int[np.ndarray, "*cells"]
+    undecided: Int[np.ndarray, "*cells"]
+    inadmissible: Int[np.ndarray, "*cells"]
+    low: Float[np.ndarray, "*cells"]
+    high: Float[np.ndarray, "*cells"]
+
+    @property
+    def total(self) -> Int[np.ndarray, "*cells"]:
+        """Admissible runs."""
+        return self.held + self.violated + self.undecided
+
+    @property
+    def estimate(self) -> Float[np.ndarray, "*cells"]:
+        """Violated runs over admissible ones; NaN where there are none."""
+        total = self.total
+        return np.where(total > 0, self.violated / np.maximum(total, 1), np.nan)
+
+
+@dataclasses.dataclass(frozen=True)
+class RobustnessMap:
+    """What `robustness_map` found. Arrays have one axis for each name, in the order of `names`.
+
+    Attributes:
+        study: The study.
+        names: The names that were swept, one or two.
+        grids: Their values.
+        claims: "funnel", "reaching" and "tracking".
+        medians: Medians of some figures over the runs of a cell in which they are known; NaN where in none.
+        runs: Runs of each cell, the same ones in all.
+        seed: Their seed.
+        confidence: That all intervals of one claim hold together.
+        thresholds: Lines to draw.
+        scales: By name, the factor that makes its values dimensionless and the label of the axis then.
+    """
+
+    study: Study
+    names: tuple[str, ...]
+    grids: tuple[Float[np.ndarray, " _"], ...]
+    claims: Mapping[str, ClaimMap]
+    medians: Mapping[str, np.ndarray]
+    runs: int
+    seed: int
+    confidence: float
+    thresholds: tuple[Threshold, ...] = ()
+    scales: Mapping[str, tuple[float, str]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def funnel(self) -> ClaimMap:
+        """The funnel claim, |sigma(t)| < rho(t) for all t."""
+        return self.claims["funnel"]
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the intervals of the probability of leaving the funnel."""
+        return self.funnel.low
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of the intervals of the probability of leaving the funnel."""
+        return self.funnel.high
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Everything as columns, a row a cell: the values, and for each claim the counts and the interval."""
+        mesh = np.meshgrid(*self.grids, indexing="ij")
+        columns = {name: values.ravel() for name, values in zip(self.names, mesh, strict=True)}
+        for claim, found in self.claims.items():
+            columns.update({f"{claim}.{key}": value.ravel() for key, value in vars(found).items()})
+        return {**columns, **{f"median.{key}": value.ravel() for key, value in self.medians.items()}}
+
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain numbers and texts, ready for JSON."""
+        return {
+            "names": list(self.names),
+            "grids": [grid.tolist() for grid in self.grids],
+            "runs": self.runs,
+            "seed": self.seed,
+            "confidence": self.confidence,
+            "bandwidth": float(self.study.bandwidth),
+            "values": {name: value.tolist() for name, value in self.study.values.items()},
+            "claims": {name: _lists(vars(claim)) for name, claim in self.claims.items()},
+            "medians": _lists(self.medians),
+            "thresholds": [dataclasses.asdict(threshold) for threshold in self.thresholds],
+            "scales": {name: {"factor": float(scale[0]), "label": scale[1]} for name, scale in self.scales.items()},
+        }
+
+    def plot(self, dimensionless: bool = False) -> Any:
+        """The probability of leaving the funnel over the grid, and the medians, with the thresholds as lines.
+
+        Args:
+            dimensionless: Whether to multiply the values by their `scales`; a name that has none keeps its units.
+
+        Raises:
+            ValueError: No name has a scale.
+        """
+        has_scale = any(name in self.scales for name in self.names)
+        require(has_scale or not dimensionless, "Argument `dimensionless` must be False for a map without `scales`.")
+        return plot_map(self, self.scales if dimensionless else {})
+
+    def __str__(self) -> str:
+        cells = self.funnel.held.size
+        head = (
+            f"{cells} cells of the same {self.runs} runs, seed {self.seed}: probability of leaving the funnel\n"
+            f"All {cells} intervals hold together with {100 * self.confidence:g} % confidence."
+        )
+        body = _rows(self) if len(self.names) == 1 else _picture(self)
+        return "\n".join(
+            (head, *body, *(f"{t.kind}: {t.name}, {t.axis_name} = {t.value:.6g}" for t in self.thresholds))
+        )
+
+
+def robustness_map(
+    study: Study,
+    over: Mapping[str, Any],
+    runs: int = 1000,
+    seed: int = 0,
+    confidence: float = 0.95,
+    *,
+    settings: SolverSettings | None = None,
+    block: int = BLOCK,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> RobustnessMap:
+    """Estimates the violation probability for every value of one name, or every pair of values of two.
+
+    Each cell of the grid has the same runs (common random numbers): only the swept names differ, so that neighbours
+    differ by what the names do and not by chance. Doubtful runs are solved again on firmer rungs, as in `verify`. The
+    values are data: nothing is compiled a second time for them.
+
+    Args:
+        study: The study.
+        over: One or two names, each with its values in increasing order. A swept distribution gets these values in
+            all runs.
+        runs: Runs of each cell, at least 1.
+        seed: Seed, 0 <= seed < 2**63.
+        confidence: That all intervals of one claim hold together, strictly between 0 and 1.
+        settings: Method and tolerances of the first solve; None for the defaults.
+        block: Runs solved together, a multiple of 64.
+        threads: Blocks solved at the same time; None for one a core.
+        progress: Called as `progress(done, runs * cells)` after each block.
+
+    Returns:
+        The map; `print` it, or `plot` it.
+
+    Raises:
+        ValueError: An argument is out of range, or the study refuses a value; before anything is solved.
+    """
+    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
+    require(1 <= len(over) <= 2, f"Argument `over` must have one or two names, but has {len(over)}.")
+    names, grids = tuple(over), tuple(_grid(study, name, values) for name, values in over.items())
+    cells = [study.substitute(**dict(zip(names, values, strict=True))) for values in it.product(*grids)]
+    settings, total = settings or SolverSettings(), runs * len(cells)
+    tables = []
+    for number, cell in enumerate(cells):
+        told = part_of(progress, number * runs, total)
+        rows = decide(cell, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
+        tables.append(_kept(concatenate(list(rows))))
+    shape = tuple(len(grid) for grid in grids)
+    return RobustnessMap(
+        study=study,
+        names=names,
+        grids=grids,
+        claims={
+            name: _claim_map(tables, column, shape, confidence)
+            for name, column in zip(CLAIM_NAMES, CLAIMS, strict=True)
+        },
+        medians={
+            name: np.array([_median(table[name]) for table in tables]).reshape(shape)
+            for name in METRICS
+            if name in tables[0]
+        },
+        runs=runs,
+        seed=seed,
+        confidence=confidence,
+    )
+
+
+def _grid(study: Study, name: str, values: Any) -> Float[np.ndarray, " _"]:
+    """The values of one name as float64, checked as far as they can be on their own."""
+    grid = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    require(
+        grid.ndim == 1 and grid.size > 0,
+        f"Argument `over` must give `{name}` a list of at least one value, but has shape {grid.shape}.",
+    )
+    require_finite(f"over` for `{name}", grid)
+    is_sorted = bool(np.all(np.diff(grid) > 0))
+    require(is_sorted, f"Argument `over` must give the values of `{name}` in increasing order, but has {values}.")
+    for value in grid:
+        check_values(study.specs, {name: value})
+    return grid
+
+
+def _kept(table: Runs) -> Runs:
+    """The columns that a map needs."""
+    wanted = ("index", *CLAIMS, *METRICS)
+    return Runs({name: table[name] for name in wanted if name in table.columns}, ())
+
+
+def _claim_map(tables: list[Runs], column: str, shape: tuple[int, ...], confidence: float) -> ClaimMap:
+    counts = [table.counts(column) for table in tables]
+
+    def of(verdict: Verdict) -> np.ndarray:
+        return np.array([count[verdict] for count in counts], np.int64).reshape(shape)
+
+    held, violated, undecided = of(Verdict.HELD), of(Verdict.VIOLATED), of(Verdict.UNDECIDED)
+    low, high = simultaneous_intervals(violated, undecided, held + violated + undecided, confidence)
+    return ClaimMap(held, violated, undecided, of(Verdict.INADMISSIBLE), low, high)
+
+
+def _median(values: np.ndarray) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if known.size else float("nan")
+
+
+def _lists(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    return {name: array.tolist() for name, array in arrays.items()}
+
+
+def _rows(found: RobustnessMap) -> Iterator[str]:
+    """A line a value."""
+    funnel = found.funnel
+    yield f"{found.names[0]:>14}{'held':>8}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   interval"
+    for i, value in enumerate(found.grids[0]):
+        counts = f"{funnel.held[i]:8d}{funnel.violated[i]:10d}{funnel.undecided[i]:11d}{funnel.inadmissible[i]:14d}"
+        yield f"{value:14.6g}{counts}   [{funnel.low[i]:.3g}, {funnel.high[i]:.3g}]"
+
+
+def _picture(found: RobustnessMap) -> Iterator[str]:
+    """A character a cell, the second name upwards."""
+    funnel = found.funnel
+    (x, y), (xs, ys) = found.names, found.grids
+    clean, some = funnel.violated == 0, funnel.low > 0.0
+    marks = np.select(
+        [funnel.total == 0, some & (funnel.estimate >= 0.5), some, ~clean, funnel.undecided > 0],
+        [" ", "#", "+", "'", "?"],
+        ".",
+    )
+    yield f"`{x}` to the right, {xs[0]:.6g} to {xs[-1]:.6g}; `{y}` upwards, {ys[0]:.6g} to {ys[-1]:.6g}"
+    for j in reversed(range(len(ys))):
+        yield f"{ys[j]:14.6g}  {''.join(marks[:, j])}"
+    yield "'.' none violated, \"'\" some, '+' surely some, '#' most, '?' none but some undecided, ' ' none admissible"
+    least = float(funnel.high[clean].min()) if clean.any() else float("nan")
+    yield f"Of {marks.size} cells {int(clean.sum())} have no violation; the best of them is below {least:.3g}."
