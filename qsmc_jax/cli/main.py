@@ -1,4 +1,4 @@
-"""The commands `qsmc verify`, `qsmc simulate` and `qsmc paper`.
+"""The commands `qsmc verify`, `qsmc simulate` and `qsmc paper`; `map`, `critical` and `compare` stand beside it.
 
 Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.
 """
@@ -6,14 +6,15 @@ Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.
 import contextlib
 import shlex
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from qsmc_jax.cli.cache import keep_compiled_programs
 from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.robustness_commands import register
+from qsmc_jax.cli.session import UNDECIDED, session
 from qsmc_jax.cli.study_file import load_study
 
 if TYPE_CHECKING:
@@ -26,20 +27,6 @@ app = typer.Typer(
     help="Simulate and verify quasi-sliding-mode control loops. "
     "Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.",
 )
-
-_BAD_INPUT, _UNDECIDED = 2, 3
-
-StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Python file that defines `study`.")]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option("-S", "--set", metavar="NAME=VALUE", help="Fix a name of the study; repeatable. Vectors: x0=0.5,0.5"),
-]
-Seed = Annotated[int, typer.Option(help="Seed of the study.")]
-Out = Annotated[Path | None, typer.Option(help="New folder for data and pictures.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-Rtol = Annotated[float, typer.Option(help="Relative tolerance of the solver.")]
-Cache = Annotated[bool, typer.Option("--cache/--no-cache", help="Keep compiled programs in the user's cache folder.")]
-MaxSteps = Annotated[int, typer.Option(help="Steps after which a run is given up as UNDECIDED.")]
 
 
 @app.command()
@@ -54,12 +41,12 @@ def verify(
     worst: Annotated[int, typer.Option(help="How many of the worst runs to list.")] = 5,
     rtol: Rtol = 1e-6,
     max_steps: MaxSteps = 100_000,
-    block: Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")] = 512,
-    threads: Annotated[int | None, typer.Option(help="Blocks solved at once; default one a core.")] = None,
+    block: Block = 512,
+    threads: Threads = None,
     cache: Cache = True,
 ) -> None:
     """Verify the three claims of Theorem 1 by independent random runs, each with an exact interval."""
-    with _session(cache):
+    with session(cache):
         from qsmc_jax import SolverSettings
         from qsmc_jax import verify as run_verification
         from qsmc_jax.report.folder import ResultFolder, to_json
@@ -107,7 +94,7 @@ def simulate(
     cache: Cache = True,
 ) -> None:
     """Solve the nominal run of a study, or replay one run of a verification, in full."""
-    with _session(cache):
+    with session(cache):
         from qsmc_jax import SolverSettings
         from qsmc_jax.report.folder import ResultFolder, to_json
         from qsmc_jax.report.signals import figures_as_numbers, signals_table
@@ -134,7 +121,7 @@ def simulate(
 @app.command()
 def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
     """Both examples of the paper from all their starts: a table of claim, paper's number and ours, and the pictures."""
-    with _session(cache):
+    with session(cache):
         from qsmc_jax.report.folder import ResultFolder, to_json
         from qsmc_jax.report.paper_table import as_text, rows, simulate_example
         from qsmc_jax.simulation.trajectory_plots import plot_phase_plane, plot_trajectory
@@ -158,23 +145,11 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
     raise typer.Exit(0 if all(row.is_met for row in table) else 1)
 
 
-@contextlib.contextmanager
-def _session(cache: bool) -> Iterator[None]:
-    """Bad input ends in one sentence and exit code 2, an interruption in 3; never in a traceback."""
-    if cache:
-        keep_compiled_programs()
-    try:
-        yield
-    except ValueError as error:
-        say(f"qsmc: {error}", is_error=True)
-        raise typer.Exit(_BAD_INPUT) from None
-    except KeyboardInterrupt:
-        say("qsmc: interrupted; nothing was written.", is_error=True)
-        raise typer.Exit(_UNDECIDED) from None
+register(app)
 
 
 def _exit_code(verdict: "Verdict") -> int:
-    return {"HELD": 0, "VIOLATED": 1}.get(verdict.name, _UNDECIDED)
+    return {"HELD": 0, "VIOLATED": 1}.get(verdict.name, UNDECIDED)
 
 
 def _details(result: Any, study_file: Path, overrides: list[str], out: Path | None) -> str:

@@ -21,8 +21,6 @@ def load_study(path: Path, overrides: list[str]) -> "Study":
     """
     from qsmc_jax.study.study import Study
 
-    if not path.is_file():
-        raise ValueError(f"Argument `STUDY` must be a Python file, but there is no file `{path}`.")
     names = _run(path)
     if not isinstance(names.get("study"), Study):
         found = "no `study`" if "study" not in names else f"a `study` that is a `{type(names['study']).__name__}`"
@@ -30,8 +28,30 @@ def load_study(path: Path, overrides: list[str]) -> "Study":
     return names["study"].substitute(**dict(map(_parse, overrides)))
 
 
+def load_studies(path: Path, overrides: list[str]) -> "dict[str, Study]":
+    """Runs a study file and returns its `studies`, with the overrides substituted in each.
+
+    Args:
+        path: A Python file that defines `studies`, a dictionary of `qsmc_jax.Study` by name.
+        overrides: As for `load_study`; every study must have the names.
+
+    Raises:
+        ValueError: The file is missing, raises, or has no `studies`; or an override is wrong.
+    """
+    from qsmc_jax.study.study import Study
+
+    studies = _run(path).get("studies")
+    is_named = isinstance(studies, dict) and all(isinstance(name, str) for name in studies)
+    if not (studies and is_named and all(isinstance(study, Study) for study in studies.values())):
+        raise ValueError(f"File `{path}` must define `studies`, a dictionary of `qsmc_jax.Study` by name, but has not.")
+    values = dict(map(_parse, overrides))
+    return {name: study.substitute(**values) for name, study in studies.items()}
+
+
 def _run(path: Path) -> dict[str, Any]:
     """The names that the file defines; whatever it raises is told with its line, without our own frames."""
+    if not path.is_file():
+        raise ValueError(f"Argument `STUDY` must be a Python file, but there is no file `{path}`.")
     try:
         return runpy.run_path(str(path))
     except Exception as error:

@@ -376,13 +376,14 @@ def _invariant_periods(
     """
     excess = np.array([[0.0], [float(funnel.rho0)]])
     rho = excess + float(funnel.rho_inf)
+    unit = 2.0 / math.pi * rho
     ratio = 2.0 / math.pi * np.arctan(controls)
     push = w + ratio * float(funnel.mu) * excess
     with np.errstate(divide="ignore", invalid="ignore"):  # nothing pushes, or where no period will do
         period = ratio * rho / push
         for _ in range(_NEWTON_STEPS):
-            tangent = np.sqrt(np.maximum(2.0 * rho / (math.pi * gains[0] * period) - 1.0, 0.0))
-            gap = 2.0 / math.pi * np.arctan2(controls - tangent, 1.0 + controls * tangent)
-            period = gap * rho / (push - gains[0] * tangent)
+            tangent = np.sqrt(np.maximum(unit / (gains[0] * period) - 1.0, 0.0))
+            gap = unit * np.arctan2(controls - tangent, 1.0 + controls * tangent)
+            period = gap / (push - gains[0] * tangent)
     period = np.minimum(period, 2.0 * ratio * rho / (push + gains[1] * controls))
     return np.min(np.where(gains[0] * controls > (1.0 + _CLEARANCE) * push, period, 0.0), axis=0)

@@ -122,5 +122,5 @@ def coloured(
     return Signals(signals=tuple(sizes[i] * sine for i, sine in enumerate(sines)))
 
 
-def _scaled(scales: Float[Array, " n"], values: Scalars) -> Scalars:
+def _scaled(scales: Float[Array | np.ndarray, " n"], values: Scalars) -> Scalars:
     return tuple(scales[i] * value for i, value in enumerate(values))

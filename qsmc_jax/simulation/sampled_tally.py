@@ -125,9 +125,9 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
     sigma, z, errors = cell.sigma(), cell.ratio(), cell.errors()
     place, height = problem.fence(z.crest())
     excess = jnp.maximum((height - 1.0) * _width_at(cell, place), jnp.abs(cell.right.sigma) - cell.right.rho)
-    is_higher, is_out = height > tally.peak_ratio, height >= 1.0
+    is_higher, is_out = height > tally.peak_ratio, (height >= 1.0) | (jnp.abs(z.y0) >= 1.0)
     exit_ = OutsideStep(t0, h, z)
-    heights = problem.fence(tuple(cubic.crest()[1] for cubic in errors))
+    heights = problem.fence(tuple(_height(cubic) for cubic in errors))
     jump = jnp.where(t0 > 0.0, jnp.abs(cell.u0 - tally.last_u), 0.0)
     change = jump + jnp.abs(cell.middle - cell.u0) + jnp.abs(cell.u1 - cell.middle)
     equivalent = jnp.abs(cell.right.equivalent_input - cell.left.equivalent_input)
@@ -140,8 +140,8 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         peak_excess=jnp.maximum(tally.peak_excess, excess),
         first_exit=trees.where(is_out & (tally.first_exit.length == 0.0) & (h > 0.0), exit_, tally.first_exit),
         last_exit=trees.where(is_out & (h > 0.0), exit_, tally.last_exit),
-        outside=trees.where(_reaches(sigma, problem.bandwidth) & (h > 0.0), OutsideStep(t0, h, sigma), tally.outside),
-        unsettled_time=jnp.where(_exceeds(problem, heights, cell.left.errors), t1, tally.unsettled_time),
+        outside=trees.where((_height(sigma) >= problem.bandwidth) & (h > 0.0), OutsideStep(t0, h, sigma), tally.outside),
+        unsettled_time=jnp.where(_exceeds(problem, heights), t1, tally.unsettled_time),
         peak_errors=trees.where(is_steady, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors),
         peak_u=ft.reduce(jnp.maximum, (tally.peak_u, *map(jnp.abs, (cell.u0, cell.middle, cell.u1)))),
         last_u=cell.u1,
@@ -176,17 +176,14 @@ def _width_at(cell: Cell, place: RealScalarLike) -> RealScalarLike:
     return left.rho + place * (h * left.rho_rate + place * bend)
 
 
-def _reaches(sigma: Cubic, level: RealScalarLike) -> Bool[Array, ""]:
-    return jnp.maximum(jnp.abs(sigma.y0), sigma.crest()[1]) >= level
+def _height(cubic: Cubic) -> RealScalarLike:
+    """How high |p| gets in the cell, its beginning included."""
+    return jnp.maximum(jnp.abs(cubic.y0), cubic.crest()[1])
 
 
-def _exceeds(problem: Problem, heights: Scalars, left: Scalars) -> Bool[Array, ""]:
+def _exceeds(problem: Problem, heights: Scalars) -> Bool[Array, ""]:
     """Whether any error reaches its bound in the cell."""
-    reaches = [
-        jnp.maximum(height, jnp.abs(start)) >= bound
-        for height, start, bound in zip(heights, left, problem.error_bounds, strict=True)
-    ]
-    return ft.reduce(jnp.logical_or, reaches)
+    return ft.reduce(jnp.logical_or, (h >= bound for h, bound in zip(heights, problem.error_bounds, strict=True)))
 
 
 def _filtered(filter_: Filter, cell: Cell, cutoff: RealScalarLike, is_steady: BoolScalarLike) -> Filter:

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from qsmc_jax.verification.comparison import Comparison
 
 _COLUMNS = 3
+# Medians that differ by less are drawn on a linear axis, which is easier to read.
+_DECADE = 10.0
 _LABELS = {
     "peak_ratio": r"$\sup |\sigma|/\rho$ [-]",
     "peak_u": r"$\sup |u|$",
@@ -66,16 +68,17 @@ def _median(ax: Any, result: "Comparison", metric: str) -> None:
         _point(ax, row, estimate.median, estimate.low, estimate.high)
     ends = np.array([[e.low, e.median, e.high] for _, e in found])
     ends = ends[np.isfinite(ends)]
-    if ends.size and ends.min() > 0.0:
+    if ends.size and ends.min() > 0.0 and ends.max() > _DECADE * ends.min():
         ax.set_xscale("log")
     ax.set(title=f"median: {_LABELS.get(metric, metric)}")
 
 
 def _point(ax: Any, row: int, middle: float, low: float, high: float) -> None:
-    """A dot with its interval; an end that is not finite is left open."""
+    """A dot with its interval; an end that is infinite is written beside it."""
+    if not np.isfinite(middle):
+        return
     colour = SERIES[row % len(SERIES)]
-    if np.isfinite(middle):
-        reach = [[middle - low if np.isfinite(low) else 0.0], [high - middle if np.isfinite(high) else 0.0]]
-        ax.errorbar([middle], [row], xerr=np.maximum(reach, 0.0), fmt="o", color=colour, capsize=3.0)
-    elif np.isfinite(low) and np.isfinite(high):
-        ax.plot([low, high], [row, row], color=colour)
+    reach = [[middle - low if np.isfinite(low) else 0.0], [high - middle if np.isfinite(high) else 0.0]]
+    ax.errorbar([middle], [row], xerr=np.maximum(reach, 0.0), fmt="o", color=colour, capsize=3.0)
+    if not np.isfinite(high):
+        ax.annotate(r"to $\infty$", (middle, row), (0, 6), textcoords="offset points", ha="center", fontsize=8)

@@ -39,7 +39,7 @@ def plot_critical(result: "CriticalValue") -> Any:
         ax.set_xscale("log")
     ax.set_yscale("symlog", linthresh=result.below)
     label = f"probability of leaving the funnel (linear below {result.below:g})"
-    ax.set(xlabel=result.name, ylabel=label, ylim=(0.0, 1.1))
+    ax.set(xlabel=result.name, ylabel=label, ylim=(-0.05 * result.below, 1.1))
     sure = f"all findings right together with {100 * result.confidence:g} % confidence"
     ax.set_title(f"{len(result.tests)} tests, {result.runs} runs, seed {result.seed}; {sure}", fontsize=10)
     ax.legend(loc="best", fontsize=8)

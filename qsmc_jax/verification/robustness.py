@@ -296,15 +296,12 @@ def _picture(found: RobustnessMap) -> Iterator[str]:
     """A character a cell, the second name upwards."""
     funnel = found.funnel
     (x, y), (xs, ys) = found.names, found.grids
-    clean, some = funnel.violated == 0, funnel.low > 0.0
-    marks = np.select(
-        [funnel.total == 0, some & (funnel.estimate >= 0.5), some, ~clean, funnel.undecided > 0],
-        [" ", "#", "+", "'", "?"],
-        ".",
-    )
+    clean = funnel.violated == 0
+    conditions = [funnel.total == 0, funnel.estimate >= 0.5, ~clean, funnel.undecided > 0]
+    marks = np.select(conditions, [" ", "#", "+", "?"], ".")
     yield f"`{x}` to the right, {xs[0]:.6g} to {xs[-1]:.6g}; `{y}` upwards, {ys[0]:.6g} to {ys[-1]:.6g}"
     for j in reversed(range(len(ys))):
         yield f"{ys[j]:14.6g}  {''.join(marks[:, j])}"
-    yield "'.' none violated, \"'\" some, '+' surely some, '#' most, '?' none but some undecided, ' ' none admissible"
+    yield "'.' no run violated, '+' less than half, '#' half or more, '?' none but some undecided, ' ' none admissible"
     least = float(funnel.high[clean].min()) if clean.any() else float("nan")
-    yield f"Of {marks.size} cells {int(clean.sum())} have no violation; the best of them is below {least:.3g}."
+    yield f"Of {marks.size} cells {int(clean.sum())} have no violation; the best of them lies below {least:.3g}."

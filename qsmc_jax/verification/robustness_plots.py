@@ -65,18 +65,18 @@ def _curve(ax: Any, result: "RobustnessMap", scales: Scales) -> None:
         share = funnel.undecided / np.maximum(funnel.total, 1)
         ax.plot(values, share, "x:", color=GREY, label="undecided / admissible runs")
     _horizontal(ax, result, scales)
-    ax.set(title="Probability, and how sure it is", ylabel=_PROBABILITY)
+    ax.set_ylabel(_PROBABILITY)
     least = zero_failure_bound(result.runs, result.confidence)
     if least < _WIDEST_FOR_LOG:
         ax.set_yscale("symlog", linthresh=least)
         ax.set_ylabel(f"{_PROBABILITY} (linear below {least:.1g})")
-    ax.set_ylim(0.0, 1.1)
+    ax.set_ylim(-0.05 * least, 1.1)
 
 
 def _median_curve(ax: Any, result: "RobustnessMap", scales: Scales, name: str, medians: np.ndarray) -> None:
     ax.plot(_values(result, scales, 0), medians, ".-", color=ORANGE)
     _horizontal(ax, result, scales)
-    ax.set(title=_LABELS[name], ylabel=_LABELS[name])
+    ax.set_ylabel(_LABELS[name])
     if _spans_decades(medians):
         ax.set_yscale("log")
 
@@ -91,18 +91,17 @@ def _mesh(ax: Any, result: "RobustnessMap", scales: Scales) -> None:
     colours = LinearSegmentedColormap.from_list("white to blue", ["white", SKY, BLUE, "#00263d"]).with_extremes(
         bad=GREY
     )
-    edges = _coloured(ax, result, scales, funnel.estimate, colours, norm, "violated / admissible runs")
-    borders = [(funnel.low > 0.0, RED, "-", "some surely violated")]
+    edges = _coloured(ax, result, scales, funnel.estimate, colours, norm, _PROBABILITY)
+    borders = [(funnel.low > 0.0, "-", "a run is violated")]
     level = _level(float(funnel.high.min()))
     if level is not None:
-        borders.append((funnel.high < level, ORANGE, "--", f"surely below {level:g}"))
-    for mask, colour, style, label in borders:
+        borders.append((funnel.high < level, ":", f"surely below {level:g}"))
+    for mask, style, label in borders:
         segments = list(_border(mask, *edges))
         if segments:
-            ax.add_collection(LineCollection(segments, colors=colour, linestyles=style, linewidths=2.2, label=label))
+            ax.add_collection(LineCollection(segments, colors=ORANGE, linestyles=style, linewidths=2.2, label=label))
     if not np.all(np.isfinite(funnel.estimate)):
         ax.plot([], [], "s", color=GREY, label="no admissible run")
-    ax.set(title="Probability of leaving the funnel")
 
 
 def _median_mesh(ax: Any, result: "RobustnessMap", scales: Scales, name: str, medians: np.ndarray) -> None:
@@ -112,7 +111,6 @@ def _median_mesh(ax: Any, result: "RobustnessMap", scales: Scales, name: str, me
     norm = LogNorm() if _spans_decades(medians) else None
     colours = colormaps["cividis"].with_extremes(bad=GREY)
     _coloured(ax, result, scales, medians, colours, norm, _LABELS[name])
-    ax.set(title=_LABELS[name])
 
 
 def _coloured(

@@ -25,6 +25,11 @@ B0 = 1.0 / (1.0 + math.sqrt(2.0) * K + K * K)
 A1, A2 = 2.0 * (K * K - 1.0) * B0, (1.0 - math.sqrt(2.0) * K + K * K) * B0
 
 
+def rows(count: int, shape: tuple[int, ...]) -> list[np.ndarray]:
+    """So many arrays of zeros."""
+    return [np.zeros(shape) for _ in range(count)]
+
+
 class Fleet:
     """Plants in sampled loops, side by side: where they are, and one hold by Bogacki and Shampine's third order."""
 
@@ -32,9 +37,9 @@ class Fleet:
         """Starts them; row 0 of `x` is the angle, row 1 its rate, of the errors `e` likewise."""
         self.x, self.amplitude, self.frequency = draws["x0"].copy(), draws["amplitude"], draws["frequency"]
         self.gain, self.damping = 1.0 / (draws["mass"] * LENGTH**2), FRICTION / draws["mass"]
-        self.e, self.k1, self.k2, self.k3, self.stage = np.empty((5, *self.x.shape))
-        self.drift, self.wave, self.push, self.z, self.sigma, self.u = np.empty((6, self.x.shape[1]))
-        self.angles, self.work = np.empty((2, 3, self.x.shape[1]))
+        self.e, self.k1, self.k2, self.k3, self.stage = rows(5, self.x.shape)
+        self.drift, self.wave, self.push, self.z, self.sigma, self.u = rows(6, self.x.shape[1:])
+        self.angles, self.work = rows(2, (3, self.x.shape[1]))
         self.add_up(0.0, self.x, self.drift)
         self.measure(0.0)
 
@@ -171,8 +176,8 @@ class Steady:
 
     def __init__(self, runs: int):
         """No command yet; the filter is at rest."""
-        self.s1, self.s2, self.high, self.power, self.variation, self.rate, self.count = np.zeros((7, runs))
-        self.direction, self.low, self.top, self.extreme, self.balance = np.zeros((5, runs))
+        self.s1, self.s2, self.high, self.power, self.variation, self.rate, self.count = rows(7, (runs,))
+        self.direction, self.low, self.top, self.extreme, self.balance = rows(5, (runs,))
         self.is_first = True
 
     def add(self, u: np.ndarray, change: np.ndarray, balance: np.ndarray, is_steady: bool) -> None:
@@ -218,7 +223,7 @@ def simulate(
     seed: int = 0,
     variant: str = "full",
     *,
-    block: int = 2048,
+    block: int = 8192,
     workers: int = 1,
     first_steady: int = FIRST_STEADY,
 ) -> dict[str, np.ndarray]:

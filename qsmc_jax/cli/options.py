@@ -1,0 +1,22 @@
+"""Arguments and options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Python file that defines `study`.")]
+StudiesFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Python file that defines `studies`, by name.")]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("-S", "--set", metavar="NAME=VALUE", help="Fix a name of the study; repeatable. Vectors: x0=0.5,0.5"),
+]
+Seed = Annotated[int, typer.Option(help="Seed of the study.")]
+Out = Annotated[Path | None, typer.Option(help="New folder for data and pictures.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Rtol = Annotated[float, typer.Option(help="Relative tolerance of the solver.")]
+Cache = Annotated[bool, typer.Option("--cache/--no-cache", help="Keep compiled programs in the user's cache folder.")]
+MaxSteps = Annotated[int, typer.Option(help="Steps after which a run is given up as UNDECIDED.")]
+Block = Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")]
+Threads = Annotated[int | None, typer.Option(help="Blocks solved at once; default one a core.")]
+Together = Annotated[float, typer.Option(help="Confidence that all intervals hold together.")]

@@ -1,0 +1,178 @@
+"""The commands `qsmc map`, `qsmc critical` and `qsmc compare`.
+
+Exit codes: 0 done, 2 bad input, 3 interrupted, or (`critical`) nothing could be shown.
+"""
+
+import contextlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.grids import parse_grids, parse_interval
+from qsmc_jax.cli.options import (
+    Block,
+    Cache,
+    Json,
+    MaxSteps,
+    Out,
+    Overrides,
+    Rtol,
+    Seed,
+    StudiesFile,
+    StudyFile,
+    Threads,
+    Together,
+)
+from qsmc_jax.cli.session import UNDECIDED, session
+from qsmc_jax.cli.study_file import load_studies, load_study
+
+_GRID = "NAME=LO:HI:log|lin:N"
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the commands to the application."""
+    app.command("map")(map_robustness)
+    app.command("critical")(find_critical)
+    app.command("compare")(compare_studies)
+
+
+def map_robustness(
+    study_file: StudyFile,
+    over: Annotated[
+        list[str], typer.Option(metavar=_GRID, help="Values of a name, once or twice. A list: NAME=V1,V2,V3")
+    ],
+    runs: Annotated[int, typer.Option(help="Runs of each cell, the same in all.")] = 1000,
+    seed: Seed = 0,
+    confidence: Together = 0.95,
+    overrides: Overrides = None,
+    out: Out = None,
+    as_json: Json = False,
+    dimensionless: Annotated[bool, typer.Option("--dimensionless", help="Draw axes in natural units.")] = False,
+    rtol: Rtol = 1e-6,
+    max_steps: MaxSteps = 100_000,
+    block: Block = 512,
+    threads: Threads = None,
+    cache: Cache = True,
+) -> None:
+    """Map the probability of leaving the funnel over a grid of one or two names of a study.
+
+    Exit codes: 0 done, 2 bad input, 3 interrupted.
+    """
+    with session(cache):
+        from qsmc_jax.simulation.settings import SolverSettings
+        from qsmc_jax.verification.robustness import robustness_map
+
+        if dimensionless and not out:
+            raise ValueError("Argument `--dimensionless` is about the picture: it needs `--out`.")
+        study, grids = load_study(study_file, overrides or []), parse_grids(over)
+        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+
+        def work(progress: Any) -> Any:
+            options = {"settings": settings, "block": block, "threads": threads, "progress": progress}
+            return robustness_map(study, grids, runs, seed, confidence, **options)
+
+        _deliver("map", study_file, out, as_json, work, lambda found: found.plot(dimensionless=dimensionless))
+
+
+def find_critical(
+    study_file: StudyFile,
+    name: Annotated[str, typer.Option(help="Name of the study whose value is searched.")],
+    below: Annotated[float, typer.Option(help="Violation probability that is to be shown.")],
+    between: Annotated[
+        str | None, typer.Option(metavar="LO:HI", help="Ends of the search; default the bounds.")
+    ] = None,
+    side: Annotated[Literal["largest", "smallest"] | None, typer.Option(help="Default: what the ends say.")] = None,
+    steps: Annotated[int, typer.Option(help="Values tested after the two ends.")] = 12,
+    budget: Annotated[int | None, typer.Option(help="Most runs of a test; default 4 times the fewest.")] = None,
+    seed: Seed = 0,
+    confidence: Together = 0.95,
+    overrides: Overrides = None,
+    out: Out = None,
+    as_json: Json = False,
+    rtol: Rtol = 1e-6,
+    max_steps: MaxSteps = 100_000,
+    block: Block = 512,
+    threads: Threads = None,
+    cache: Cache = True,
+) -> None:
+    """Search the last value of a name at which the probability of leaving the funnel is shown to be small.
+
+    Exit codes: 0 found, 2 bad input, 3 nothing could be shown, or interrupted.
+    """
+    with session(cache):
+        from qsmc_jax.simulation.settings import SolverSettings
+        from qsmc_jax.verification.critical import critical_value
+
+        study, ends = load_study(study_file, overrides or []), parse_interval(between)
+        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+
+        def work(progress: Any) -> Any:
+            options = {"confidence": confidence, "seed": seed, "steps": steps, "budget_per_test": budget}
+            solving = {"settings": settings, "block": block, "threads": threads, "progress": progress}
+            return critical_value(study, name, below, between=ends, side=side, **options, **solving)
+
+        found = _deliver("critical", study_file, out, as_json, work, lambda result: result.plot())
+    raise typer.Exit(0 if found.is_found else UNDECIDED)
+
+
+def compare_studies(
+    studies_file: StudiesFile,
+    runs: Annotated[int, typer.Option(help="Runs of each study, on the same random numbers.")] = 1000,
+    seed: Seed = 0,
+    confidence: Together = 0.95,
+    metric: Annotated[list[str] | None, typer.Option(help="Figure to compare; repeatable. Default the usual.")] = None,
+    overrides: Overrides = None,
+    out: Out = None,
+    as_json: Json = False,
+    rtol: Rtol = 1e-6,
+    max_steps: MaxSteps = 100_000,
+    block: Block = 512,
+    threads: Threads = None,
+    cache: Cache = True,
+) -> None:
+    """Compare the studies of a file, such as one loop under several controllers, run by run.
+
+    Exit codes: 0 done, 2 bad input, 3 interrupted.
+    """
+    with session(cache):
+        from qsmc_jax.simulation.settings import SolverSettings
+        from qsmc_jax.verification.comparison import compare
+
+        studies = load_studies(studies_file, overrides or [])
+        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+
+        def work(progress: Any) -> Any:
+            options = {"metrics": metric or None, "settings": settings, "block": block, "threads": threads}
+            return compare(studies, runs, seed, confidence, **options, progress=progress)
+
+        _deliver("comparison", studies_file, out, as_json, work, lambda result: result.plot())
+
+
+def _deliver(
+    stem: str,
+    study_file: Path,
+    out: Path | None,
+    as_json: bool,
+    work: Callable[[Any], Any],
+    draw: Callable[[Any], Any],
+) -> Any:
+    """Does the work, writes its result as JSON, Parquet and picture into the folder, all or nothing, and prints it."""
+    from qsmc_jax.report.folder import ResultFolder, to_json
+    from qsmc_jax.report.provenance import provenance
+
+    with ResultFolder(out) if out else contextlib.nullcontext() as folder:
+        with progress_bar("solving", quiet=as_json) as progress:
+            result = work(progress)
+        content = {**result.summary(), "provenance": provenance(study_file, sys.argv)}
+        if folder:
+            folder.add_json(f"{stem}.json", content)
+            folder.add_table(f"{stem}.parquet", result.table())
+            with waiting("drawing", quiet=as_json):
+                folder.add_figure(f"{stem}.png", draw(result))
+            folder.commit()
+    say(to_json(content) if as_json else str(result) + (f"\nWritten to {out}." if out else ""))
+    return result
