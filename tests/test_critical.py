@@ -13,6 +13,7 @@ import qsmc_jax as qj
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.verification.critical import plan_tests, search
 from tests.coin_study import study
+from tests.studies_for_tests import Integrator
 
 BLOCK = 128
 
@@ -175,7 +176,7 @@ def test_progress_counts_every_run_that_may_be_needed():
         ({"between": (-1.0, 0.5)}, "`p` must lie in .0, 1., but is -1"),
         ({"between": (0.5, 2.0)}, "`p` must lie in .0, 1., but is 2"),
         ({"between": (0.0, np.inf)}, "`between` must be given for `p`.*two finite numbers"),
-        ({"budget_per_test": 10}, "`budget_per_test` must be at least 38, the fewest runs"),
+        ({"budget_per_test": 10}, "`budget_per_test` must be at least 34, the fewest runs"),
         ({"block": 100}, "`block` must be a positive multiple of 64"),
     ],
 )
@@ -186,8 +187,6 @@ def test_bad_arguments_are_named(arguments, message):
 
 def other(draw):
     """An integrator with names that cannot be bisected, or only between given ends."""
-    from tests.coin_study import Integrator
-
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.1))
     plant = Integrator(draw.choice("gain", [1.0, 2.0]) + draw.exponential("more", 1.0))
     loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Zero(), control)

@@ -6,6 +6,7 @@ cell ends at the next event at the latest, each run at its own; cells are shorte
 """
 
 import dataclasses
+import functools as ft
 
 import diffrax as dfx
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base import trees
+from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.control.control import Sample
@@ -156,7 +158,14 @@ def run_sampled(
         commands=first_command_tally(),
         saved=None if ts is None else Saved(ts, (jnp.zeros_like(ts),) * len(x0), jnp.zeros_like(ts), jnp.array(0)),
     )
-    return jax.lax.while_loop(lambda course: course.is_running, lambda course: _advance(plan, course), first)
+    start = first, any_lane(first.is_running)
+    return jax.lax.while_loop(lambda carry: carry[1], ft.partial(_in_step, plan), start)[0]
+
+
+def _in_step(plan: Plan, carry: tuple[Course, BoolScalarLike]) -> tuple[Course, BoolScalarLike]:
+    """All lanes one cell further; those that are done stay as they are."""
+    course = _advance(plan, carry[0])
+    return course, any_lane(course.is_running)
 
 
 def _plan(problem: Problem, implementation: Implementation, horizon: RealScalarLike, settings: SolverSettings) -> Plan:
@@ -174,12 +183,13 @@ def _advance(plan: Plan, course: Course) -> Course:
     """One cell further, or a shorter try at the same one; then whatever happens at its end."""
     event, end = _next_event(plan, course)
     cell, actuator, error = _cross(plan, course, end)
-    is_good = error <= 1.0
+    is_good = course.is_running & (error <= 1.0)
     h, tried = cell.length, course.step
     wanted = h * _step_factor(error)
     step = jnp.where(is_good & (h < tried), jnp.maximum(tried, wanted), wanted)
     cells = add_cell(plan.problem, plan.cutoff, course.cells, cell)
-    counted = dataclasses.replace(course, step=step, steps=course.steps + 1.0)
+    steps = course.steps + jnp.where(course.is_running, 1.0, 0.0)
+    counted = dataclasses.replace(course, step=jnp.where(course.is_running, step, tried), steps=steps)
     arrived = dataclasses.replace(counted, now=cell.right, actuator=actuator, cells=cells)
     return _judged(plan, _handle(plan, trees.where(is_good, arrived, counted), is_good & (end >= event)))
 
@@ -229,14 +239,19 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
         return course.computer.held if plan.implementation.actuator is None else actuator_at(t)[0]
 
     def field(t: RealScalarLike, x: Scalars) -> Scalars:
-        x = fence(x)  # as below, so that the last stage is computed but once
-        return loop.rates(fence(loop.terms(t, x)), x, input_at(t))
+        *chain, last = loop.rates(loop.terms(t, x), x, input_at(t))
+        return (*chain, fence(last))
 
     u0 = course.actuator[0] if course.actuator else course.computer.held
     first = loop.rates(now.terms, now.x, u0)
-    x1, stages = explicit_stages(_TABLEAU, field, now.t, end, now.x, first)
-    x1 = fence(x1)
-    right = at_instant(plan.problem, end, x1)
+    right = []
+
+    def arrive(t: RealScalarLike, x: Scalars) -> Scalars:
+        right.append(at_instant(plan.problem, t, fence(x)))
+        return loop.rates(right[0].terms, right[0].x, input_at(t))
+
+    stages = explicit_stages(_TABLEAU, field, arrive, now.t, end, now.x, first)
+    right = right[0]
     h = end - now.t
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
     allowed = plan.rtol * (right.rho + jnp.abs(right.sigma))

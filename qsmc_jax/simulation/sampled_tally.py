@@ -125,8 +125,9 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
     sigma, z, errors = cell.sigma(), cell.ratio(), cell.errors()
     place, height = problem.fence(z.crest())
     excess = jnp.maximum((height - 1.0) * _width_at(cell, place), jnp.abs(cell.right.sigma) - cell.right.rho)
-    is_higher, is_out = height > tally.peak_ratio, (height >= 1.0) | (jnp.abs(z.y0) >= 1.0)
-    exit_ = OutsideStep(t0, h, z)
+    is_higher, exit_ = height > tally.peak_ratio, OutsideStep(t0, h, z)
+    is_out = (h > 0.0) & ((height >= 1.0) | (jnp.abs(z.y0) >= 1.0))
+    is_far = (h > 0.0) & (problem.fence(_height(sigma)) >= problem.bandwidth)
     heights = problem.fence(tuple(_height(cubic) for cubic in errors))
     jump = jnp.where(t0 > 0.0, jnp.abs(cell.u0 - tally.last_u), 0.0)
     change = jump + jnp.abs(cell.middle - cell.u0) + jnp.abs(cell.u1 - cell.middle)
@@ -138,9 +139,9 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         peak_ratio=jnp.maximum(height, tally.peak_ratio),
         peak_time=jnp.where(is_higher, t0 + place * h, tally.peak_time),
         peak_excess=jnp.maximum(tally.peak_excess, excess),
-        first_exit=trees.where(is_out & (tally.first_exit.length == 0.0) & (h > 0.0), exit_, tally.first_exit),
-        last_exit=trees.where(is_out & (h > 0.0), exit_, tally.last_exit),
-        outside=trees.where((_height(sigma) >= problem.bandwidth) & (h > 0.0), OutsideStep(t0, h, sigma), tally.outside),
+        first_exit=trees.where(is_out & (tally.first_exit.length == 0.0), exit_, tally.first_exit),
+        last_exit=trees.where(is_out, exit_, tally.last_exit),
+        outside=trees.where(is_far, OutsideStep(t0, h, sigma), tally.outside),
         unsettled_time=jnp.where(_exceeds(problem, heights), t1, tally.unsettled_time),
         peak_errors=trees.where(is_steady, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors),
         peak_u=ft.reduce(jnp.maximum, (tally.peak_u, *map(jnp.abs, (cell.u0, cell.middle, cell.u1)))),

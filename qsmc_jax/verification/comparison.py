@@ -123,14 +123,18 @@ class Comparison:
         for s in self.studies:
             counts = f"{s.held:9d}{s.violated:10d}{s.undecided:11d}{s.inadmissible:14d}"
             rows.append(f"{s.name:{width}}{counts}   [{s.low:.3g}, {s.high:.3g}]")
-        rows.append(f"{'median of':22}{'study':{width}}{'':34}  ratio to `{self.studies[0].name}`, run by run")
-        for metric in self.metrics:
-            for s in self.studies:
-                if metric in s.medians:
-                    ratio = f"  {_show(s.ratios[metric])}" if metric in s.ratios else ""
-                    rows.append(f"{metric:22}{s.name:{width}}{_show(s.medians[metric]):34}{ratio}".rstrip())
+        rows += self._median_rows(width)
         rows.append(f"All {self.intervals} intervals hold together with {100 * self.confidence:g} % confidence.")
         return "\n".join(rows)
+
+    def _median_rows(self, width: int) -> Iterator[str]:
+        """A line a figure and study."""
+        shown = [(m, s, _show(s.medians[m])) for m in self.metrics for s in self.studies if m in s.medians]
+        wide = max((len(median) for _, _, median in shown), default=0)
+        yield f"{'median of':22}{'study':{width}}{'':{wide}}  ratio to `{self.studies[0].name}`, run by run"
+        for metric, study, median in shown:
+            ratio = _show(study.ratios[metric]) if metric in study.ratios else ""
+            yield f"{metric:22}{study.name:{width}}{median:{wide}}  {ratio}".rstrip()
 
     def _intervals(self) -> Iterator[tuple[Any, ...]]:
         for s in self.studies:
@@ -223,7 +227,7 @@ def _listed(drawn: tuple[tuple[str, tuple[int, ...]], ...]) -> str:
 def _kept(table: Runs, metrics: Sequence[str] | None) -> Runs:
     """The columns that are compared, in the order of the indices."""
     wanted = METRICS if metrics is None else metrics
-    columns = {m: table[m] for m in wanted if metrics is not None or m in table.columns}
+    columns = {m: table[m].astype(np.float64) for m in wanted if metrics is not None or m in table.columns}
     return Runs({"index": table["index"], "verdict": table["verdict"], **columns}, ()).take(np.argsort(table["index"]))
 
 

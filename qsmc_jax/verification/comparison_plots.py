@@ -74,11 +74,14 @@ def _median(ax: Any, result: "Comparison", metric: str) -> None:
 
 
 def _point(ax: Any, row: int, middle: float, low: float, high: float) -> None:
-    """A dot with its interval; an end that is infinite is written beside it."""
-    if not np.isfinite(middle):
-        return
+    """A dot with its interval; what is infinite or unknown is written instead."""
     colour = SERIES[row % len(SERIES)]
+    text = {"ha": "center", "va": "bottom", "fontsize": 8, "color": colour}
+    if not np.isfinite(middle):
+        word = "unknown" if np.isnan(middle) else f"infinite; at least {low:.3g}"
+        ax.annotate(word, (0.5, row), xycoords=("axes fraction", "data"), **text)
+        return
     reach = [[middle - low if np.isfinite(low) else 0.0], [high - middle if np.isfinite(high) else 0.0]]
     ax.errorbar([middle], [row], xerr=np.maximum(reach, 0.0), fmt="o", color=colour, capsize=3.0)
     if not np.isfinite(high):
-        ax.annotate(r"to $\infty$", (middle, row), (0, 6), textcoords="offset points", ha="center", fontsize=8)
+        ax.annotate(r"to $\infty$", (middle, row), (0, 4), textcoords="offset points", **text)
