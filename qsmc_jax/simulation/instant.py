@@ -52,11 +52,15 @@ class Instant(AbstractModule):
 def at_instant(problem: Problem, t: RealScalarLike, x: Scalars) -> Instant:
     """The loop at time t and state x."""
     loop, fence = problem.loop, problem.fence
-    terms, desired = fence((loop.terms(t, x), loop.desired(t)))
+    terms, desired = loop.terms(t, x), fence(loop.desired(t))
+    drift, gain, disturbance = fence((terms.drift, terms.gain, terms.disturbance))
+    terms = terms._replace(drift=drift, gain=gain, disturbance=disturbance)
     errors = tuple(xi - di for xi, di in zip(x, desired, strict=False))
-    drift = tuple(rate - di for rate, di in zip(loop.rates(terms, x, 0.0), desired[1:], strict=True))
-    surface, (rho, rho_rate) = loop.control.surface, fence(loop.control.funnel.width_and_rate(t))
-    return Instant(t, x, terms, errors, drift, surface(errors), surface(drift), rho, rho_rate)
+    rates = tuple(rate - di for rate, di in zip(loop.rates(terms, x, 0.0), desired[1:], strict=True))
+    surface, funnel = loop.control.surface, loop.control.funnel
+    rho, rho_rate = funnel.width_and_rate(t)
+    rho = fence(rho)
+    return Instant(t, x, terms, errors, rates, surface(errors), surface(rates), rho, rho_rate)
 
 
 class Cell(AbstractModule):

@@ -244,14 +244,9 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
 
     u0 = course.actuator[0] if course.actuator else course.computer.held
     first = loop.rates(now.terms, now.x, u0)
-    right = []
-
-    def arrive(t: RealScalarLike, x: Scalars) -> Scalars:
-        right.append(at_instant(plan.problem, t, fence(x)))
-        return loop.rates(right[0].terms, right[0].x, input_at(t))
-
-    stages = explicit_stages(_TABLEAU, field, arrive, now.t, end, now.x, first)
-    right = right[0]
+    x1, stages = explicit_stages(_TABLEAU, field, now.t, end, now.x, first)
+    right = at_instant(plan.problem, end, fence(x1))
+    stages.append(loop.rates(right.terms, right.x, input_at(end)))
     h = end - now.t
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
     allowed = plan.rtol * (right.rho + jnp.abs(right.sigma))

@@ -184,7 +184,8 @@ def _height(cubic: Cubic) -> RealScalarLike:
 
 def _exceeds(problem: Problem, heights: Scalars) -> Bool[Array, ""]:
     """Whether any error reaches its bound in the cell."""
-    return ft.reduce(jnp.logical_or, (h >= bound for h, bound in zip(heights, problem.error_bounds, strict=True)))
+    reaches = (jnp.asarray(h >= bound) for h, bound in zip(heights, problem.error_bounds, strict=True))
+    return ft.reduce(jnp.logical_or, reaches)
 
 
 def _filtered(filter_: Filter, cell: Cell, cutoff: RealScalarLike, is_steady: BoolScalarLike) -> Filter:

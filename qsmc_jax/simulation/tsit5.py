@@ -55,6 +55,7 @@ class Tsit5(dfx.AbstractAdaptiveSolver):
         h = t1 - t0
         first = derivative_at_start(terms, t0, y0, args, solver_state, made_jump)
         y1, stages = explicit_stages(_TABLEAU, lambda t, y: terms.vf(t, y, args), t0, t1, y0, first)
+        stages.append(terms.vf(t1, y1, args))
         error = tuple(h * change for change in weighted(_TABLEAU.b_error, stages))
         middle = tuple(y + h * change for y, change in zip(y0, weighted(_MIDDLE, stages), strict=True))
         dense = {"y0": y0, "y1": y1, "dy0": stages[0], "dy1": stages[-1], "middle": middle}
