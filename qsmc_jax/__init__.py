@@ -46,9 +46,9 @@ if TYPE_CHECKING:
     from qsmc_jax.verification.comparison import compare as compare
     from qsmc_jax.verification.critical import critical_value as critical_value
     from qsmc_jax.verification.critical_result import CriticalValue as CriticalValue
+    from qsmc_jax.verification.limits import Threshold as Threshold
     from qsmc_jax.verification.result import Verification as Verification
     from qsmc_jax.verification.robustness import RobustnessMap as RobustnessMap
-    from qsmc_jax.verification.robustness import Threshold as Threshold
     from qsmc_jax.verification.robustness import robustness_map as robustness_map
     from qsmc_jax.verification.statistics import runs_needed as runs_needed
     from qsmc_jax.verification.verify import verify as verify
@@ -87,7 +87,7 @@ _HOMES = {
     "CriticalValue": "qsmc_jax.verification.critical_result",
     "critical_value": "qsmc_jax.verification.critical",
     "RobustnessMap": "qsmc_jax.verification.robustness",
-    "Threshold": "qsmc_jax.verification.robustness",
+    "Threshold": "qsmc_jax.verification.limits",
     "robustness_map": "qsmc_jax.verification.robustness",
     "runs_needed": "qsmc_jax.verification.statistics",
     "Verification": "qsmc_jax.verification.result",

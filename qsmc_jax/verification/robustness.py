@@ -3,7 +3,7 @@
 import dataclasses
 import itertools as it
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,39 +16,12 @@ from qsmc_jax.study.monte_carlo import BLOCK, Progress
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.decided import decide, part_of
+from qsmc_jax.verification.limits import Threshold, limits
 from qsmc_jax.verification.robustness_plots import plot_map
 from qsmc_jax.verification.simultaneous import simultaneous_intervals
 
 CLAIM_NAMES = ("funnel", "reaching", "tracking")
 METRICS = ("peak_ratio", "excess_variation_u", "reversal_rate")
-
-ThresholdKind = Literal["local", "sufficient", "necessary"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Threshold:
-    """A value of a name at which theory says that something changes; a line in the picture of a map.
-
-    Attributes:
-        name: What it is called in the legend.
-        axis_name: The name of the study whose value it is.
-        value: The value, in the units of that name.
-        kind: "local" (of the linearised loop), "sufficient" (inside it nothing is violated) or "necessary" (beyond it
-            something is).
-
-    Raises:
-        ValueError: The kind is unknown, or the value is not a number.
-    """
-
-    name: str
-    axis_name: str
-    value: float
-    kind: ThresholdKind
-
-    def __post_init__(self):
-        kinds = list(get_args(ThresholdKind))
-        require(self.kind in kinds, f"Argument `kind` must be one of {kinds}, but is {self.kind!r}.")
-        require(not np.isnan(self.value), f"Argument `value` of `{self.name}` must be a number, but is {self.value}.")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +69,7 @@ class RobustnessMap:
         runs: Runs of each cell, the same ones in all.
         seed: Their seed.
         confidence: That all intervals of one claim hold together.
-        thresholds: Lines to draw.
+        thresholds: Lines to draw; see `limits`.
         scales: By name, the factor that makes its values dimensionless and the label of the axis then.
     """
 
@@ -222,7 +195,7 @@ def robustness_map(
         told = part_of(progress, number * runs, total)
         rows = decide(cell, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
         tables.append(_kept(concatenate(list(rows))))
-    shape = tuple(len(grid) for grid in grids)
+    shape, known = tuple(len(grid) for grid in grids), limits(study, dict(zip(names, grids, strict=True)))
     return RobustnessMap(
         study=study,
         names=names,
@@ -239,6 +212,8 @@ def robustness_map(
         runs=runs,
         seed=seed,
         confidence=confidence,
+        thresholds=known.thresholds,
+        scales=known.scales,
     )
 
 
