@@ -229,7 +229,7 @@ def _frequency_limits(found: OperatingRange, loop: ClosedLoop) -> list[_Line]:
 
 
 def _saturation_limits(found: OperatingRange, loop: ClosedLoop) -> list[_Line]:
-    return [("peak of the ideal input", found.peak_u, "sufficient"), ("bound on w met", found.demand, "sufficient")]
+    return [("peak of the ideal input", found.peak_u, "local"), ("bound on w met", found.demand, "sufficient")]
 
 
 def _noise_limits(found: OperatingRange, loop: ClosedLoop) -> list[_Line]:
