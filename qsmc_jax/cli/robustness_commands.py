@@ -64,11 +64,15 @@ def map_robustness(
     """
     with session(cache):
         from qsmc_jax.simulation.settings import SolverSettings
+        from qsmc_jax.verification.limits import limits
         from qsmc_jax.verification.robustness import robustness_map
 
         if dimensionless and not out:
             raise ValueError("Argument `--dimensionless` is about the picture: it needs `--out`.")
         study, grids = load_study(study_file, overrides or []), parse_grids(over)
+        if dimensionless and not limits(study, grids).scales:
+            names = ", ".join(f"`{name}`" for name in grids)
+            raise ValueError(f"Argument `--dimensionless` needs a name with a natural unit, but {names} has none.")
         settings = SolverSettings(rtol=rtol, max_steps=max_steps)
 
         def work(progress: Any) -> Any:
