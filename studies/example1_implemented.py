@@ -24,8 +24,8 @@ def scenario(draw):
         sample_period=draw.parameter("sample_period", 2e-3, bounds=(1e-4, 1.0)),
         saturation=draw.parameter("saturation", 20.0, bounds=(0.01, 1e6)),
         noise=qj.noises.uniform(draw, "noise_on_rate", [0.0, draw.parameter("noise", 1e-3, bounds=(0.0, 1.0))]),
-        delay=draw.parameter("delay", 1e-3, bounds=(0.0, 0.1)),
-        actuator=qj.actuators.FirstOrderLag(draw.parameter("lag", 2e-3, bounds=(0.0, 10.0))),
+        delay=draw.parameter("delay", 2e-3, bounds=(0.0, 0.1)),
+        actuator=qj.actuators.FirstOrderLag(draw.parameter("lag", 5e-3, bounds=(0.0, 10.0))),
         queue=64,
     )
     loop = qj.ClosedLoop(plant, qj.references.SumOfSines([1.0], [1.0]), disturbance, control, implementation)

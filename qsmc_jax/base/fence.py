@@ -3,9 +3,11 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 
 
 class Fence(AbstractModule):
@@ -22,3 +24,7 @@ class Fence(AbstractModule):
     def __call__(self, tree: Any) -> Any:
         """The same numbers, exactly."""
         return jax.tree.map(lambda leaf: leaf / self.one, tree)
+
+    def claim(self, claim: BoolScalarLike) -> Bool[Array, ""]:
+        """The same claim."""
+        return self(jnp.where(claim, 1.0, 0.0)) > 0.5

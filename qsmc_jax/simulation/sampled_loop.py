@@ -183,7 +183,7 @@ def _advance(plan: Plan, course: Course) -> Course:
     """One cell further, or a shorter try at the same one; then whatever happens at its end."""
     event, end = _next_event(plan, course)
     cell, actuator, error = _cross(plan, course, end)
-    is_good = course.is_running & (error <= 1.0)
+    is_good = plan.problem.fence.claim(course.is_running & (error <= 1.0))
     h, tried = cell.length, course.step
     wanted = h * _step_factor(error)
     step = jnp.where(is_good & (h < tried), jnp.maximum(tried, wanted), wanted)
