@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from qsmc_jax import paper as paper
     from qsmc_jax.control import controllers as controllers
+    from qsmc_jax.control import thresholds as thresholds
     from qsmc_jax.control.funnel import Funnel as Funnel
     from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
     from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
@@ -101,6 +102,7 @@ _NAMESPACES = {
     "paper": "qsmc_jax.paper",
     "plants": "qsmc_jax.model.plants",
     "references": "qsmc_jax.model.references",
+    "thresholds": "qsmc_jax.control.thresholds",
 }
 
 

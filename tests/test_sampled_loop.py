@@ -4,6 +4,8 @@ import dataclasses
 import functools as ft
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,8 +14,8 @@ import reference_sampled_loop as reference
 
 HORIZON, BANDWIDTH = 3.0, 0.1
 TIGHT = qj.SolverSettings(rtol=1e-9)
-# By how much more some figures may be off than the peak: times where a slope is small; the variation of a ringing input,
-# whose turns lie inside cells; and the filter, whose cutoff the trapezium rule moves a little.
+# By how much more some figures may be off than the peak: times where a slope is small; the variation of a ringing
+# input, whose turns lie inside cells; and the filter, whose cutoff the trapezium rule moves a little.
 LOOSER = {
     "violation_time": 10.0,
     "recovery_time": 10.0,
@@ -229,3 +231,20 @@ def test_no_cell_is_longer_than_the_tolerance_allows():
     assert int(slow.figures.steps) > 20
     # 1e-6 of the funnel or of sigma in every cell, some of which grow until the end.
     np.testing.assert_allclose(slow.figures.peak_ratio, theirs.figures.peak_ratio, rtol=1e-4)
+
+
+def test_forward_mode_gives_the_central_difference():
+    """Of figures of one run by rho_inf, through samples, an actuator and the reaching time, at which a cell ends."""
+    names = ("peak_ratio", "energy_u", "rms_error", "reach_time")
+    ideal = qj.paper.example1().control
+
+    def figures(rho_inf):
+        control = qj.QuasiSlidingControl(ideal.surface, qj.Funnel(ideal.funnel.rho0, ideal.funnel.mu, rho_inf))
+        loop = loop1(control, sample_period=5e-3, actuator=qj.actuators.FirstOrderLag(2e-3))
+        run = qj.simulate(loop, [0.1, 0.1], HORIZON, bandwidth=BANDWIDTH, settings=TIGHT)
+        return jnp.stack([run.figures.named()[name] for name in names])
+
+    _, slopes = jax.jvp(figures, (0.05,), (1.0,))
+    step = 1e-5
+    differences = (figures(0.05 + step) - figures(0.05 - step)) / (2.0 * step)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-5)

@@ -1,9 +1,8 @@
-"""Where the guarantee breaks, by the engine: each analytic limit of control/thresholds.py from both sides, within 1 %."""
+"""Where the guarantee breaks, by the engine: analytic limits of control/thresholds.py from both sides, within 1 %."""
 
 import functools as ft
 import math
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 

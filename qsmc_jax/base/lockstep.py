@@ -11,8 +11,8 @@ from qsmc_jax.base.types import BoolScalarLike
 def any_lane(claim: BoolScalarLike) -> Bool[Array, ""]:
     """Whether a claim holds; under `vmap`, whether it holds in any of the lanes, one answer for all.
 
-    A `while_loop` on it stays one under `vmap`, where a claim of each lane's own would turn into selections of everything
-    that the loop carries. What it guards must do nothing in lanes where the claim does not hold.
+    A `while_loop` on it stays one under `vmap`, where a claim of each lane's own would turn into selections of all that
+    the loop carries. What it guards must do nothing in lanes where the claim does not hold.
     """
     return jnp.asarray(claim)
 

@@ -172,7 +172,9 @@ def _plan(problem: Problem, implementation: Implementation, horizon: RealScalarL
     loop, funnel = problem.loop, problem.loop.control.funnel
     # A cell ends just before a jump, and the next one, of no length, takes it.
     breaks = jnp.append(loop.break_times, problem.reaching_time)
-    breaks = jnp.concatenate([jnp.nextafter(breaks, -jnp.inf), breaks])
+    fixed = jax.lax.stop_gradient(breaks)
+    just_before = jnp.where(jnp.isfinite(fixed), jnp.nextafter(fixed, -jnp.inf) - fixed, 0.0)
+    breaks = jnp.concatenate([breaks + just_before, breaks])
     degree = loop.order - 1
     rate = funnel.mu if degree == 0 else jnp.maximum(funnel.mu, jnp.abs(loop.control.surface.c[0]) ** (1.0 / degree))
     cutoff = 5.0 * rate if implementation.cutoff is None else implementation.cutoff

@@ -131,10 +131,9 @@ def limits(study: Study, grids: Mapping[str, np.ndarray]) -> Limits:
 
 def _axis(study: Study, name: str, grid: np.ndarray) -> tuple[str, float] | None:
     """The number of the implementation that a name sets, and what one unit of the name is of it; None for none."""
-    ends = [study.substitute(**{name: value}).nominal.loop for value in (grid[0], grid[-1])]
-    if len(grid) < 2 or grid[0] <= 0.0 or ends[0].implementation is None:
+    if study.nominal.loop.implementation is None or len(grid) < 2 or grid[0] <= 0.0:
         return None
-    low, high = (_numbers(loop) for loop in ends)
+    low, high = (_numbers(study.substitute(**{name: value}).nominal.loop) for value in (grid[0], grid[-1]))
     for field in low:
         is_set = low[field] != high[field]
         if is_set and math.isclose(low[field] / grid[0], high[field] / grid[-1], rel_tol=1e-9):
