@@ -184,6 +184,22 @@ def test_a_sufficient_period_is_never_violated(configurations):
     assert np.max(runs["peak_ratio"] / ratio) > 0.9  # it is not far from being broken
 
 
+def test_rows_are_the_same_to_the_last_bit_however_they_are_solved_and_replayed():
+    study = example1_study(
+        sample_period=5e-3,
+        jitter=lambda draw: qj.random_jitter(draw, "jitter", 0.5),
+        noise=lambda draw: qj.noises.white(draw, "noise", [1e-4, 1e-3]),
+    )
+    once, again = qj.monte_carlo(study, 128, block=64, threads=1), qj.monte_carlo(study, 128, block=128)
+    for column in once:
+        np.testing.assert_array_equal(once[column], again[column], err_msg=column)
+    assert len(np.unique(once["noise.seed"])) == 128
+    # A replay stops at the times of its grid too: the same to the tolerance, not to the last bit.
+    run = study.replay(100).figures.named()
+    for name in ("peak_ratio", "total_variation_u", "energy_u", "peak_rate_u"):
+        assert float(run[name]) == pytest.approx(once[name][100], rel=1e-6)
+
+
 def test_drawn_numbers_out_of_range_leave_a_run_without_a_premise():
     runs = qj.monte_carlo(
         example1_study(sample_period=lambda draw: draw.uniform("sample_period", -0.01, 0.02)), 64, block=64

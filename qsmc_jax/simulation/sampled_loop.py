@@ -275,7 +275,7 @@ def _handle(plan: Plan, course: Course, has_event: BoolScalarLike) -> Course:
             held=jnp.where(arrives, computer.queue[place], computer.held),
             arrival=jnp.where(arrives, computer.arrival + 1.0, computer.arrival),
         )
-    samples = has_event & (t >= _capture_time(plan, course))
+    samples = has_event & (t >= _capture_time(plan, course)) & (t < plan.horizon)
     sampled, tallied = _sample(plan, course, computer)
     computer = trees.where(samples, sampled, computer)
     commands = trees.where(samples, tallied, commands)
