@@ -1,12 +1,27 @@
 """Example 1 as a computer runs it: everything uncertain, and sampled, saturated, noisy, late and slow.
 
-draft
+Question: with how long a period, how low a limit, how much noise, delay and lag is the funnel still kept?
+Claim: as it stands it is held. One at a time, and the others as they stand, in all of 64 runs up to a period of 0.03 s,
+    noise of 0.03 on the rate, a delay of 0.017 s, a lag of 0.13 s, and down to a saturation of 3.7; at 0.08 s, 0.05,
+    0.05 s, 0.23 s and 0.7 most runs leave it. The limits of the linearised loop are drawn in.
+Time: half a minute a map on two cores, such as
+
+    qsmc map studies/example1_implemented.py --over sample_period=2e-3:0.3:log:24 --runs 500 --out results/period
+    qsmc map studies/example1_implemented.py --over saturation=0.2:20:log:24 --runs 500 --out results/saturation
+    qsmc map studies/example1_implemented.py --over noise=3e-3:0.3:log:24 --runs 500 --out results/noise
+    qsmc map studies/example1_implemented.py --over delay=2e-3:0.1:log:24 --runs 500 --out results/delay
+    qsmc map studies/example1_implemented.py --over lag=5e-3:2:log:24 --runs 500 --out results/lag
+    qsmc map studies/example1_implemented.py --over sample_period=2e-3:0.3:log:16 --over saturation=0.2:20:log:16
+    qsmc critical studies/example1_implemented.py --name sample_period --below 1e-2 --between 2e-3:0.3
 """
+
+from typing import Any
 
 import qsmc_jax as qj
 
 
-def scenario(draw):
+def scenario(draw: Any) -> qj.Scenario:
+    """Distributions as in example1_uncertain.py; 5 s are three times the reaching time."""
     plant = qj.plants.InvertedPendulum(
         mass=draw.uniform("mass", 0.008, 0.012),
         length=draw.uniform("length", 7.84, 11.76),

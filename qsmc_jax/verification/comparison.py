@@ -131,10 +131,10 @@ class Comparison:
         """A line a figure and study."""
         shown = [(m, s, _show(s.medians[m])) for m in self.metrics for s in self.studies if m in s.medians]
         wide = max((len(median) for _, _, median in shown), default=0)
-        yield f"{'median of':22}{'study':{width}}{'':{wide}}  ratio to `{self.studies[0].name}`, run by run"
+        yield f"{'median of':22}{'study':{width}} {'':{wide}}  ratio to `{self.studies[0].name}`, run by run"
         for metric, study, median in shown:
             ratio = _show(study.ratios[metric]) if metric in study.ratios else ""
-            yield f"{metric:22}{study.name:{width}}{median:{wide}}  {ratio}".rstrip()
+            yield f"{metric:22}{study.name:{width}} {median:{wide}}  {ratio}".rstrip()
 
     def _intervals(self) -> Iterator[tuple[Any, ...]]:
         for s in self.studies:

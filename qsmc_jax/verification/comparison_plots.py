@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 _COLUMNS = 3
 # Medians that differ by less are drawn on a linear axis, which is easier to read.
-_DECADE = 10.0
+_WIDE = 50.0  # so many times from the least to the largest: logarithmic
 _LABELS = {
     "peak_ratio": r"$\sup |\sigma|/\rho$ [-]",
     "peak_u": r"$\sup |u|$",
@@ -68,9 +68,17 @@ def _median(ax: Any, result: "Comparison", metric: str) -> None:
         _point(ax, row, estimate.median, estimate.low, estimate.high)
     ends = np.array([[e.low, e.median, e.high] for _, e in found])
     ends = ends[np.isfinite(ends)]
-    if ends.size and ends.min() > 0.0 and ends.max() > _DECADE * ends.min():
-        ax.set_xscale("log")
+    least = np.abs(ends[ends != 0.0]).min(initial=np.inf)
+    if ends.size and ends.max() > _WIDE * least:
+        # A figure that may be negative, such as the excess variation, is linear around zero.
+        ax.set_xscale("log") if ends.min() > 0.0 else ax.set_xscale("symlog", linthresh=_around_zero(ends))
+        ax.xaxis.set_minor_formatter("")
     ax.set(title=f"median: {_LABELS.get(metric, metric)}")
+
+
+def _around_zero(ends: np.ndarray) -> float:
+    """Where a symmetric logarithmic axis becomes linear: a decade above the largest negative end, or a thousandth."""
+    return float(-10.0 * ends.min()) if ends.min() < 0.0 else 1e-3 * float(ends.max())
 
 
 def _point(ax: Any, row: int, middle: float, low: float, high: float) -> None:
