@@ -12,9 +12,9 @@ from qsmc_jax.verification.limits import limits
 
 STUDIES = Path(__file__).parent.parent / "studies"
 
-# For each effect: a value that all of 64 runs bear, one that most do not, and by what factor either may lie off the limit
-# of the linearised loop in the steady phase of the nominal run. The lag comes to bear at the start, while the funnel is
-# wide and the loop slow, and so does everything in Example 2.
+# For each effect: a value that all of 64 runs bear, one that most do not, and by what factor either may lie off the
+# limit of the linearised loop in the steady phase of the nominal run. The lag comes to bear at the start, while the
+# funnel is wide and the loop slow, and so does everything in Example 2.
 EXPECTED = {
     "example1_implemented": {
         "sample_period": (0.031, 0.09, 2.0),
