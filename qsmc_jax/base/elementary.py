@@ -21,7 +21,6 @@ from typing import TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 Pair: TypeAlias = tuple[Array, Array]  # a float64 and the part of the number below its last place
@@ -147,15 +146,15 @@ def _tan(x: Array) -> Array:
 def _sine(x: Array, ahead: int) -> Array:
     """The sine of `x + ahead pi/2`."""
     n = jnp.round(x * (2.0 / math.pi))
-    rest, excess = _rest(x, n)
+    rest, low = _rest(x, n)
     quadrant = _last_bits(n + ahead)
-    y = jnp.where(quadrant & 1 == 0, _sin_kernel(rest, excess), _cos_kernel(rest))
+    y = jnp.where(quadrant & 1 == 0, _sin_kernel(rest, low), _cos_kernel(rest))
     return _unless_too_large(x, jnp.where(quadrant & 2 == 0, y, -y))
 
 
 def _last_bits(n: Array) -> Array:
     """An int64 that ends like the integer `n`, |n| <= 2^51. A conversion would check for overflow."""
-    return lax.bitcast_convert_type(n + _TO_INTEGER, np.int64)
+    return jax.lax.bitcast_convert_type(n + _TO_INTEGER, np.int64)
 
 
 def _unless_too_large(x: Array, y: Array) -> Array:
@@ -164,17 +163,17 @@ def _unless_too_large(x: Array, y: Array) -> Array:
 
 
 def _rest(x: Array, n: Array) -> Pair:
-    """`x - n pi/2` as a float64, and what to subtract from it; to the last bit even next to a multiple of pi/2.
+    """`x - n pi/2` as a float64 and its rounding error, to its last bit even next to a multiple of pi/2.
 
     Up to 2^30, the first four products are exact. So is `coarse`, which is below 1 and a multiple of the last place of
-    `x`, at least 2^-53, or of 2^-44. What the next two sums round off is kept. The excess is at most 2^-64 and half of
-    the last place of the rest, and wrong by less than 2^-116, while no float64 leaves a rest below 2^-61.
+    `x`, at least 2^-53, or of 2^-44. What the next two sums round off is kept. The low part is at most 2^-64 and half
+    of the last place of the rest, and wrong by less than 2^-116, while no float64 leaves a rest below 2^-61.
     """
-    first, second, third, fourth, fifth = (n * part for part in _PARTS)
-    coarse = (x - first) - second
+    first, second, third, fourth, fifth = (n * -part for part in _PARTS)
+    coarse = (x + first) + second
     fine, fine_low = _fast_two_sum(third, fourth)
-    rest = coarse - fine
-    return rest, (fine - (coarse - rest)) + (fine_low + fifth)
+    rest, low = _fast_two_sum(coarse, fine)
+    return rest, low + (fine_low + fifth)
 
 
 def _fast_two_sum(a: Array, b: Array) -> Pair:
@@ -183,10 +182,10 @@ def _fast_two_sum(a: Array, b: Array) -> Pair:
     return total, b - (total - a)
 
 
-def _sin_kernel(x: Array, excess: Array) -> Array:
-    """The sine of `x - excess`, to first order in the excess."""
+def _sin_kernel(x: Array, low: Array) -> Array:
+    """The sine of `x + low`, to first order in the low part."""
     z = x * x
-    return x - (excess - x * z * _polynomial(z, _SIN))
+    return x + (low + x * z * _polynomial(z, _SIN))
 
 
 def _cos_kernel(x: Array) -> Array:
@@ -195,10 +194,10 @@ def _cos_kernel(x: Array) -> Array:
     return 1.0 + z * _polynomial(z, _COS)
 
 
-def _tan_kernel(x: Array, excess: Array, is_odd: Array) -> Array:
+def _tan_kernel(x: Array, low: Array, is_odd: Array) -> Array:
     """The tangent, or the negative cotangent where n is odd; near pi/4 by way of the tangent t of pi/4 - x."""
     sign, v = jnp.where(x < 0.0, -1.0, 1.0), jnp.where(is_odd, -1.0, 1.0)
-    x, low = sign * x, -sign * excess
+    x, low = sign * x, sign * low
     is_steep = x > _STEEP
     x = jnp.where(is_steep, (_QUARTER_PI[0] - x) + (_QUARTER_PI[1] - low), x)
     low = jnp.where(is_steep, 0.0, low)
