@@ -15,9 +15,9 @@ CLAIMED = {
     "duffing": qj.Verdict.HELD,
     "cooling": qj.Verdict.HELD,
     "wrong_gain_sign": qj.Verdict.VIOLATED,
-    "example1_implemented": qj.Verdict.HELD,
 }
 LONG = {
+    "example1_implemented": qj.Verdict.HELD,
     "paper_example2": qj.Verdict.HELD,
     "example1_uncertain": qj.Verdict.HELD,
     "example2_uncertain": qj.Verdict.HELD,

@@ -73,7 +73,7 @@ def breaks(n, effect, g, w, value, t1, spread=0.02):
 
 
 @pytest.mark.parametrize(("g", "w"), POINTS)
-@pytest.mark.parametrize("n", SURFACES)
+@pytest.mark.parametrize("n", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_period_of_the_hold(n, g, w):
     limit = thresholds.critical_period(g, w, RHO, SURFACES[n])
     assert not breaks(n, "period", g, w, 0.99 * limit, 2000 * limit)
@@ -81,7 +81,7 @@ def test_the_period_of_the_hold(n, g, w):
 
 
 @pytest.mark.parametrize(("g", "w"), POINTS[:3])
-@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("n", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_delay(n, g, w):
     limit = thresholds.critical_delay(g, w, RHO, SURFACES[n])
     held, lost = (factor * limit / 1.005 for factor in (0.99, 1.01))  # the hold of h / 100 is late by half of that
@@ -90,7 +90,7 @@ def test_the_delay(n, g, w):
 
 
 @pytest.mark.parametrize("g", [0.7, 3.0])
-@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_lag(n, g):
     """From very near rest: larger swings are lost before the linearised loop is.
 
@@ -106,6 +106,7 @@ def test_a_lag_alone_breaks_no_loop_of_order_1():
     assert not breaks(1, "lag", 1.0, 0.3, 1.0, 40.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("g", "w"), POINTS[:2])
 def test_the_frequency_of_an_actuator(g, w):
     limit = thresholds.critical_actuator_frequency(g, w, RHO, 0.7, SURFACES[2])
