@@ -200,6 +200,15 @@ def test_rows_are_the_same_to_the_last_bit_however_they_are_solved_and_replayed(
         assert float(run[name]) == pytest.approx(once[name][100], rel=1e-6)
 
 
+def test_an_actuator_without_a_lag_changes_nothing():
+    plain, through = (
+        example1_study(sample_period=2e-3, **fields) for fields in ({}, {"actuator": qj.actuators.FirstOrderLag(0.0)})
+    )
+    plain, through = (qj.monte_carlo(study, 64, block=64) for study in (plain, through))
+    for column in plain:
+        np.testing.assert_allclose(through[column], plain[column], rtol=1e-9, atol=1e-9, err_msg=column)
+
+
 def test_drawn_numbers_out_of_range_leave_a_run_without_a_premise():
     runs = qj.monte_carlo(
         example1_study(sample_period=lambda draw: draw.uniform("sample_period", -0.01, 0.02)), 64, block=64

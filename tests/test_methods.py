@@ -13,6 +13,7 @@ METHODS = {"tsit5": Tsit5(), "rodas4": Rosenbrock(RODAS4), "rodas5p": Rosenbrock
 ORDERS = {"tsit5": 5, "rodas4": 4, "rodas5p": 5}
 ROSENBROCK = pytest.mark.parametrize("name", ["rodas4", "rodas5p"])
 EVERY = pytest.mark.parametrize("name", METHODS)
+QUICK = [pytest.param(name, marks=pytest.mark.slow) if name == "rodas4" else name for name in METHODS]
 
 
 def rotating(t, y, args):
@@ -71,7 +72,7 @@ def test_fast_transient_is_damped_in_one_step(name):
     assert abs(float(y1[0]) - np.sin(0.1)) < 1e-4
 
 
-@EVERY
+@pytest.mark.parametrize("name", QUICK)
 def test_forward_and_reverse_mode_agree(name):
     def end(y0):
         return solve(METHODS[name], rotating, (1.0, y0), 1.5, 40)[1][0]

@@ -233,6 +233,7 @@ def test_no_cell_is_longer_than_the_tolerance_allows():
     np.testing.assert_allclose(slow.figures.peak_ratio, theirs.figures.peak_ratio, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_forward_mode_gives_the_central_difference():
     """Of figures of one run by rho_inf, through samples, an actuator and the reaching time, at which a cell ends."""
     names = ("peak_ratio", "energy_u", "rms_error", "reach_time")

@@ -128,7 +128,7 @@ def test_right_sign_leaves_every_lane_held():
     np.testing.assert_allclose(runs["peak_ratio"], runs["z0"], rtol=1e-9)
 
 
-@pytest.mark.parametrize("method", ["tsit5", "rodas4", "rodas5p"])
+@pytest.mark.parametrize("method", ["tsit5", pytest.param("rodas4", marks=pytest.mark.slow), "rodas5p"])
 @pytest.mark.parametrize("gain", [200.0, 2e4])
 def test_growth_from_rest_is_not_damped_away(method, gain):
     """g = b cos t, tiny d, stiff: at rest until g turns at pi / 2, and out of the funnel soon after, d growing like

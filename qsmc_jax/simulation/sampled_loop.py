@@ -244,7 +244,7 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
         *chain, last = loop.rates(loop.terms(t, x), x, input_at(t))
         return (*chain, fence(last))
 
-    u0 = course.actuator[0] if course.actuator else course.computer.held
+    u0 = input_at(now.t)  # which an actuator without a lag has changed since the last cell
     first = loop.rates(now.terms, now.x, u0)
     x1, stages = explicit_stages(_TABLEAU, field, now.t, end, now.x, first)
     right = at_instant(plan.problem, end, fence(x1))
@@ -281,7 +281,7 @@ def _handle(plan: Plan, course: Course, has_event: BoolScalarLike) -> Course:
     commands = trees.where(samples, tallied, commands)
     course = dataclasses.replace(course, computer=computer, commands=commands)
     saved = course.saved
-    return course if saved is None else _save(course, saved, has_event & (t >= _save_time(saved)))
+    return course if saved is None else _save(plan, course, saved, has_event & (t >= _save_time(saved)))
 
 
 def _sample(plan: Plan, course: Course, computer: Computer) -> tuple[Computer, CommandTally]:
@@ -319,9 +319,10 @@ def _place(k: RealScalarLike, queue: Float[Array, " queue"]) -> Int[Array, ""]:
     return jnp.asarray(k % queue.shape[0]).astype(int)
 
 
-def _save(course: Course, saved: Saved, is_time: BoolScalarLike) -> Course:
+def _save(plan: Plan, course: Course, saved: Saved, is_time: BoolScalarLike) -> Course:
     """The signals at the time asked for, after whatever happened at it."""
-    u = course.actuator[0] if course.actuator else course.computer.held
+    actuator, held = plan.implementation.actuator, course.computer.held
+    u = held if actuator is None else actuator.move(course.actuator, held, 0.0)[0]
     place = jnp.where(is_time, saved.count, saved.u.shape[0])  # out of bounds: dropped
     x = tuple(old.at[place].set(xi, mode="drop") for old, xi in zip(saved.x, course.now.x, strict=True))
     count = saved.count + jnp.where(is_time, 1, 0)
