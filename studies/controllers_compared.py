@@ -6,8 +6,8 @@ Claim: all keep it, with bounds as narrow as these. The quasi-sliding-mode law d
     that the disturbance asks for, its input varies by 0.03 in eight seconds. The sign law's varies millions of times as
     much; super-twisting's some thousand times, for a fifth of the peak error. With noise of 1e-3 on the rate (`-S
     noise=1e-3`) every input varies, the sign law's a thousand times as much, super-twisting's five times. Funnel
-    control and prescribed performance, the other laws with a pole at the edge, are much like it. Boundary layers and PD do as
-    well on bounds and a limit that fit, at several times the peak input; but nothing holds them in the funnel.
+    control and prescribed performance, the other laws with a pole at the edge, are much like it. Boundary layers and PD
+    do as well on bounds and a limit that fit, at several times the peak input; but nothing holds them in the funnel.
 Rules: surface, funnel, draws and limits are the same for all. What has a slope at zero gets that of the
     quasi-sliding-mode law, pi / (2 rho_inf); the boundary layer appears again with its accuracy at rest. Sign law,
     boundary layers and super-twisting get their gains from bounds on the residual w and its rate, below.
