@@ -2,9 +2,8 @@
 
 Question: with how long a period, how low a limit, how much noise, delay and lag is the funnel still kept?
 Claim: as it stands it is held. It asks for more than Example 1: one at a time, in all of 64 runs up to a period of
-    4 ms, noise of 0.005 on the last state, a delay of 2 ms, a lag of 5 ms, and down to a saturation of 32. The limits
-    of the linearised loop, drawn in, are those of the steady phase; what breaks first is the start, where the funnel is
-    wide and the loop slow.
+    4 ms, noise of 0.005 on the last state, a delay of 2 ms, a lag of 5 ms, and down to a saturation of 32. What
+    breaks first is the start, at some 0.13 s, where the input peaks and the loop is steepest.
 Time: two minutes a map on two cores, such as
 
     qsmc map studies/example2_implemented.py --over sample_period=1e-3:0.05:log:16 --runs 250 --out results/period

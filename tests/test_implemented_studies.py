@@ -13,8 +13,8 @@ from qsmc_jax.verification.limits import limits
 STUDIES = Path(__file__).parent.parent / "studies"
 
 # For each effect: a value that all of 64 runs bear, one that most do not, and by what factor either may lie off the
-# limit of the linearised loop in the steady phase of the nominal run. The lag comes to bear at the start, while the
-# funnel is wide and the loop slow, and so does everything in Example 2.
+# limit of the loop linearised along its nominal run. Noise comes to bear where sigma is near the edge; a lag at the
+# start, where swings are large, the funnel is wide and the loop slow.
 EXPECTED = {
     "example1_implemented": {
         "sample_period": (0.031, 0.09, 2.0),
@@ -24,10 +24,10 @@ EXPECTED = {
         "lag": (0.13, 0.3, 4.0),
     },
     "example2_implemented": {
-        "sample_period": (0.0037, 0.02, 7.0),
+        "sample_period": (0.0037, 0.02, 3.0),
         "saturation": (32.0, 8.0, 3.0),
         "noise": (0.0046, 0.035, 11.0),
-        "delay": (0.0024, 0.008, 7.0),
+        "delay": (0.0024, 0.008, 3.0),
         "lag": (0.0053, 0.02, 23.0),
     },
 }

@@ -66,12 +66,13 @@ class Limits:
 
 @dataclasses.dataclass(frozen=True)
 class OperatingRange:
-    """What the nominal run of the ideal loop meets, from t = 0 or in its steady phase, t >= t_r.
+    """What the nominal run of the ideal loop meets.
 
     Attributes:
         c: Coefficients of the surface.
         rho_inf: Final half-width of the funnel.
-        steepest, flattest: Gain, residual and half-width where the loop gain k' is largest and smallest, if steady.
+        steepest: Gain, gain times input, and half-width where the loop gain k' is largest.
+        flattest: The same where it is smallest in the steady phase, t >= t_r.
         residual: Largest |w| from t = 0.
         gains: Least and largest |g| from t = 0.
         demand: Largest (|w| + |rho'|) / |g| from t = 0: what the comparison bound asks of the input.
@@ -104,9 +105,10 @@ class OperatingRange:
 def limits(study: Study, grids: Mapping[str, np.ndarray]) -> Limits:
     """What is known of swept names that set a number of the implementation, in proportion to it.
 
-    The limits are those of the nominal run, under the quasi-sliding-mode law; a study that disperses the plant switches
-    around them. A period, delay or lag counts on its own, the rest of the implementation taken as ideal, but for the
-    delay, from which half a period is taken: a hold is late by as much on average.
+    The limits are those of the loop linearised along its nominal ideal run, where it is steepest (for a lag, also where
+    it is flattest later); a study that disperses the plant switches around them. A period, delay or lag counts on its
+    own, the rest of the implementation taken as ideal, but for the delay, from which half a period is taken: a hold is
+    late by as much on average.
 
     Args:
         study: The study.
@@ -171,13 +173,14 @@ def _operating_range(study: Study) -> OperatingRange | None:
     residual, gain, rho_rate = _balances(run)
     if run.outcome != Outcome.COMPLETED or not steady.any() or not np.all(gain > 0.0):
         return None
-    loop_gain = gain * (1.0 + (residual / gain) ** 2) / run.rho
-    points = np.stack([gain, residual, run.rho], axis=1)[steady]
+    # The slope of the law where the run is, which is that at rest if w is what the input holds against.
+    points = np.stack([gain, gain * np.asarray(run.u), np.asarray(run.rho)], axis=1)
+    loop_gain = gain * (1.0 + np.asarray(run.u) ** 2) / run.rho
     return OperatingRange(
         c=np.asarray(loop.control.surface.c),
         rho_inf=float(loop.control.funnel.rho_inf),
-        steepest=tuple(points[np.argmax(loop_gain[steady])].tolist()),
-        flattest=tuple(points[np.argmin(loop_gain[steady])].tolist()),
+        steepest=tuple(points[np.argmax(loop_gain)].tolist()),
+        flattest=tuple(points[steady][np.argmin(loop_gain[steady])].tolist()),
         residual=float(np.max(np.abs(residual))),
         gains=(float(np.min(gain)), float(np.max(gain))),
         demand=float(np.max((np.abs(residual) + np.abs(rho_rate)) / gain)),

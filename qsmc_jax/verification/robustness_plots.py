@@ -53,7 +53,9 @@ def plot_map(result: "RobustnessMap", scales: Scales) -> Any:
     for ax in axes.flat[panels:]:
         ax.set_visible(False)
     sure = f"intervals hold together with {100 * result.confidence:g} % confidence"
-    figure.suptitle(f"{result.runs} runs in each of {result.low.size} cells, seed {result.seed}; {sure}", fontsize=10)
+    lines = "; lines: limits of the nominal run" if result.thresholds else ""
+    title = f"{result.runs} runs in each of {result.low.size} cells, seed {result.seed}; {sure}{lines}"
+    figure.suptitle(title, fontsize=10)
     return figure
 
 
