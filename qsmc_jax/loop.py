@@ -61,7 +61,8 @@ class ClosedLoop(AbstractModule):
 
     Raises:
         ValueError: The surface does not have n - 1 coefficients, or the plant's drift or gain is not one number, or
-            the implementation is for another order, or a law that the paper does not treat has none.
+            a law that the paper does not treat has no implementation. Whether an implementation fits the order and the
+            horizon is checked where there is one: by `Scenario` and `simulate`.
 
     Source: paper, eqs. (1), (2), (4).
     """

@@ -68,9 +68,9 @@ class Cubic(NamedTuple):
         the third-order terms of the step, which a solver of order 3 holds below its tolerance; in return it takes one
         division.
         """
-        bend = stop_gradient(self.m0 - self.m1)
-        turns = stop_gradient(self.m0) * (stop_gradient(self.m0) - bend) < 0.0
-        place = jnp.where(turns, stop_gradient(self.m0) / jnp.where(turns, bend, 1.0), 1.0)
+        m0, m1 = stop_gradient(self.m0), stop_gradient(self.m1)
+        turns = m0 * m1 < 0.0
+        place = jnp.where(turns, m0 / jnp.where(turns, m0 - m1, 1.0), 1.0)
         inner, end = jnp.abs(self(place)), jnp.abs(self.y1)
         is_inner = inner > end
         return jnp.where(is_inner, place, 1.0), jnp.where(is_inner, inner, end)

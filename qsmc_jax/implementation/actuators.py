@@ -6,7 +6,7 @@ Between two changes of the command their motion is known in closed form, so that
 import abc
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field
@@ -90,14 +90,10 @@ def _damped_pair(damping: RealScalarLike, phase: RealScalarLike) -> tuple[RealSc
     And what they become for a damping ratio of 1 or more.
     """
     discriminant = 1.0 - damping * damping
-    oscillates, is_critical = discriminant > 0.0, _is_small(discriminant)
+    oscillates, is_critical = discriminant > 0.0, jnp.abs(discriminant) < 1e-12
     q = jnp.sqrt(jnp.where(is_critical, 1.0, jnp.abs(discriminant)))
     decay = jnp.exp(-damping * phase)
     slow, fast = jnp.exp((q - damping) * phase), jnp.exp(-(q + damping) * phase)
     cosine = jnp.where(oscillates, decay * jnp.cos(q * phase), 0.5 * (slow + fast))
     sine = jnp.where(oscillates, decay * jnp.sin(q * phase), 0.5 * (slow - fast)) / q
     return jnp.where(is_critical, decay, cosine), jnp.where(is_critical, decay * phase, sine)
-
-
-def _is_small(discriminant: RealScalarLike) -> Bool[Array, ""]:
-    return jnp.abs(discriminant) < 1e-12

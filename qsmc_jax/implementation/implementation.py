@@ -47,6 +47,10 @@ class Jitter(AbstractModule):
         """By how much sample k is late, in periods [-]."""
         return 0.5 * self.fraction * (1.0 + uniforms(self.seed, k, 1)[0])
 
+    def is_valid(self) -> BoolScalarLike:
+        """Whether the fraction is in range: what the constructor checks, for a traced one."""
+        return (self.fraction >= 0.0) & (self.fraction < 1.0)
+
 
 class GainFault(AbstractModule):
     """A gain that is not what it should be for a while: g is multiplied by a factor on [start, end).
@@ -71,6 +75,10 @@ class GainFault(AbstractModule):
     def __call__(self, t: RealScalarLike) -> RealScalarLike:
         """The factor on g at time t."""
         return jnp.where((t >= self.start) & (t < self.end), self.factor, 1.0)
+
+    def is_valid(self) -> BoolScalarLike:
+        """Whether it does not end before it begins: what the constructor checks, for traced times."""
+        return jnp.asarray(self.start <= self.end)
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
@@ -198,7 +206,7 @@ class Implementation(AbstractModule):
         claims = [getattr(self, name) > 0.0 for name in _POSITIVE if getattr(self, name) is not None]
         claims += [jnp.all(getattr(self, name) >= 0.0) for name in _NOT_NEGATIVE if getattr(self, name) is not None]
         claims += [getattr(self, name) <= horizon for name in _DELAYS if getattr(self, name) is not None]
-        claims += [] if self.actuator is None else [self.actuator.is_valid()]
+        claims += [getattr(self, name).is_valid() for name in _PARTS if getattr(self, name) is not None]
         return ft.reduce(jnp.logical_and, claims)
 
     def check(self, order: int, horizon: RealScalarLike) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
-from qsmc_jax.base.types import Draw, RealScalarLike, Scalars
+from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
 from qsmc_jax.implementation.keyed import normals, uniforms
 from qsmc_jax.model.disturbances import AbstractDisturbance, random_sines
 from qsmc_jax.model.disturbances.disturbance import require_disturbances
@@ -27,6 +27,10 @@ class AbstractNoise(AbstractModule):
     @abc.abstractmethod
     def bounds(self) -> Float[Array, " n"]:
         """A bound on the absolute noise of each state; `inf` if there is none."""
+
+    @abc.abstractmethod
+    def is_valid(self) -> BoolScalarLike:
+        """Whether its numbers are in range: what the constructor checks, for traced ones."""
 
 
 class White(AbstractNoise):
@@ -49,6 +53,9 @@ class White(AbstractNoise):
     def bounds(self) -> Float[Array, " n"]:
         return jnp.where(self.std > 0.0, jnp.inf, 0.0)
 
+    def is_valid(self) -> BoolScalarLike:
+        return jnp.all(self.std >= 0.0)
+
 
 class Uniform(AbstractNoise):
     """Uniform in an interval around zero, independent from sample to sample and from state to state.
@@ -70,6 +77,9 @@ class Uniform(AbstractNoise):
     def bounds(self) -> Float[Array, " n"]:
         return jnp.asarray(self.amplitude)
 
+    def is_valid(self) -> BoolScalarLike:
+        return jnp.all(self.amplitude >= 0.0)
+
 
 class Signals(AbstractNoise):
     """A bounded function of time for each state: coloured, or as smooth as one likes.
@@ -88,6 +98,9 @@ class Signals(AbstractNoise):
 
     def bounds(self) -> Float[Array, " n"]:
         return jnp.stack([jnp.asarray(signal.bound, float) for signal in self.signals])
+
+    def is_valid(self) -> BoolScalarLike:
+        return jnp.array(True)
 
 
 def white(draw: Draw, name: str, std: Sequence[Any] | np.ndarray | Array) -> White:

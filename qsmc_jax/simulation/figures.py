@@ -1,11 +1,12 @@
 """From the end of a solve to what a user reads: outcome, verdict per claim, and the figures of one run."""
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import diffrax as dfx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule
@@ -148,21 +149,33 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
 
 def _outcome(problem: Problem, ending: Ending) -> Int[Array, ""]:
     """The code of how the solve ended; leaving the funnel is told from a solve that failed near its edge."""
-    result, code = ending.result, ending.refused
-    is_open = code == Outcome.COMPLETED
+    result = ending.result
     is_stuck = result == dfx.RESULTS.dt_min_reached
     is_far = result == dfx.RESULTS.event_occurred
     leaves = (is_stuck | is_far) & _is_leaving(problem, ending)
-    for applies, outcome in (
+    cases = (
         (result == dfx.RESULTS.successful, Outcome.COMPLETED),
         (leaves, Outcome.LEFT_FUNNEL),
         (is_far, Outcome.BEYOND_RESOLUTION),
         (is_stuck, Outcome.STEP_TOO_SMALL),
-        (jnp.array(True), Outcome.MAX_STEPS),
-    ):
+    )
+    return first_to_apply(ending.refused, cases, Outcome.MAX_STEPS)
+
+
+def first_to_apply(
+    refused: Int[Array, ""], cases: Iterable[tuple[BoolScalarLike, Outcome]], otherwise: Outcome
+) -> Int[Array, ""]:
+    """The code of the first case that applies to a run that was not refused, which keeps its code."""
+    code, is_open = refused, refused == Outcome.COMPLETED
+    for applies, outcome in (*cases, (jnp.array(True), otherwise)):
         code = jnp.where(is_open & applies, int(outcome), code)
         is_open = is_open & ~applies
     return code
+
+
+def is_refused(outcome: Int[Array, ""]) -> Bool[Array, ""]:
+    """Whether a run was not solved at all, since a premise does not hold."""
+    return (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
 
 
 def _is_leaving(problem: Problem, ending: Ending) -> BoolScalarLike:
@@ -189,30 +202,40 @@ def _verdicts(
     reach_time: RealScalarLike,
     settle_time: RealScalarLike,
 ) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
-    """The verdicts on the three claims of Theorem 1. Later claims need the earlier ones, and C2.
+    """The verdicts on the three claims of Theorem 1. Later claims need the earlier ones, and C2."""
+    funnel = jnp.where(outcome == Outcome.COMPLETED, int(Verdict.HELD), int(Verdict.UNDECIDED))
+    funnel = jnp.where(outcome == Outcome.LEFT_FUNNEL, int(Verdict.VIOLATED), funnel)
+    funnel = jnp.where(is_refused(outcome), int(Verdict.INADMISSIBLE), funnel)
+    return funnel, *later_verdicts(problem, funnel == Verdict.HELD, funnel, horizon, reach_time, settle_time)
+
+
+def later_verdicts(
+    problem: Problem,
+    is_open: BoolScalarLike,
+    otherwise: Int[Array, ""],
+    horizon: RealScalarLike,
+    reach_time: RealScalarLike,
+    settle_time: RealScalarLike,
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """The verdicts on reaching and tracking where they are open, and `otherwise` where they are not; both need C2.
 
     Tracking is a limit: a run whose errors are outside at the end although reaching held has a transient that outlasts
     the horizon, which decides nothing.
     """
-    is_refused = (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
-    funnel = jnp.where(outcome == Outcome.COMPLETED, int(Verdict.HELD), int(Verdict.UNDECIDED))
-    funnel = jnp.where(outcome == Outcome.LEFT_FUNNEL, int(Verdict.VIOLATED), funnel)
-    funnel = jnp.where(is_refused, int(Verdict.INADMISSIBLE), funnel)
-    held = funnel == Verdict.HELD
-    reached = jnp.where(reach_time < problem.reaching_time, int(Verdict.HELD), int(Verdict.VIOLATED))
-    reached = jnp.where(horizon > problem.reaching_time, reached, int(Verdict.UNDECIDED))
-    reaching = jnp.where(held, reached, funnel)
-    left_over = jnp.where(reaching == Verdict.HELD, int(Verdict.UNDECIDED), reaching)
-    tracking = jnp.where(held, jnp.where(jnp.isfinite(settle_time), int(Verdict.HELD), left_over), funnel)
+    held, violated, undecided, inadmissible = (int(verdict) for verdict in Verdict)
+    reached = jnp.where(reach_time < problem.reaching_time, held, violated)
+    reached = jnp.where(horizon > problem.reaching_time, reached, undecided)
+    reaching = jnp.where(is_open, reached, otherwise)
+    left_over = jnp.where(reaching == held, undecided, reaching)
+    tracking = jnp.where(is_open, jnp.where(jnp.isfinite(settle_time), held, left_over), otherwise)
     admits = problem.loop.control.funnel.admits(problem.bandwidth)
-    inadmissible = int(Verdict.INADMISSIBLE)
-    return funnel, jnp.where(admits, reaching, inadmissible), jnp.where(admits, tracking, inadmissible)
+    return jnp.where(admits, reaching, inadmissible), jnp.where(admits, tracking, inadmissible)
 
 
 def last_outside(outside: OutsideStep, level: RealScalarLike, end_time: RealScalarLike) -> Float[Array, ""]:
     """The last time at which |p| is at least `level`, given the last step in which it is: 0 if none, inf at the end."""
-    ends_outside = (jnp.abs(outside.sigma.y1) >= level) & (outside.start + outside.length >= end_time)
-    crossed = outside.start + outside.sigma.last_descent(level) * outside.length
+    ends_outside = (jnp.abs(outside.cubic.y1) >= level) & (outside.start + outside.length >= end_time)
+    crossed = outside.start + outside.cubic.last_descent(level) * outside.length
     return jnp.where(outside.length > 0.0, jnp.where(ends_outside, jnp.inf, crossed), 0.0)
 
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.simulation.figures import Figures, SampledFigures, last_outside
+from qsmc_jax.simulation.figures import Figures, SampledFigures, first_to_apply, last_outside, later_verdicts
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.sampled_loop import Course
 from qsmc_jax.simulation.tally import Problem
@@ -68,17 +68,13 @@ def read_sampled_figures(
 def _outcome(refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, course: Course) -> Int[Array, ""]:
     """The code of how the run ended."""
     z = jnp.abs(course.now.sigma) / course.now.rho
-    code, is_open = refused, refused == Outcome.COMPLETED
-    for applies, outcome in (
+    cases = (
         (course.now.t >= horizon, Outcome.COMPLETED),
         (course.computer.has_overflown, Outcome.QUEUE_FULL),
         (z >= course.farthest, Outcome.LOST),
         (course.steps >= max_steps, Outcome.MAX_STEPS),
-        (jnp.array(True), Outcome.STEP_TOO_SMALL),
-    ):
-        code = jnp.where(is_open & applies, int(outcome), code)
-        is_open = is_open & ~applies
-    return code
+    )
+    return first_to_apply(refused, cases, Outcome.STEP_TOO_SMALL)
 
 
 def _verdicts(
@@ -92,31 +88,23 @@ def _verdicts(
     """The verdicts on the three claims of Theorem 1, each on its own: a run may leave the funnel and come back.
 
     A run that was lost has broken all three; one that could not be finished decides only the first, and only if it has
-    left the funnel. Tracking is a limit, as in the ideal loop.
+    left the funnel.
     """
     held, violated, undecided, inadmissible = (int(verdict) for verdict in Verdict)
     is_complete = outcome == Outcome.COMPLETED
     unfinished = jnp.where(outcome == Outcome.LOST, violated, undecided)
     has_left = course.cells.first_exit.length > 0.0
     funnel = jnp.where(has_left, violated, jnp.where(is_complete, held, unfinished))
-    reached = jnp.where(reach_time < problem.reaching_time, held, violated)
-    reached = jnp.where(horizon > problem.reaching_time, reached, undecided)
-    reaching = jnp.where(is_complete, reached, unfinished)
-    left_over = jnp.where(reaching == held, undecided, reaching)
-    tracking = jnp.where(is_complete & jnp.isfinite(settle_time), held, left_over)
-    is_premise_met = (outcome != Outcome.BAD_PARAMETERS) & ~course.starts_outside
-    admits = is_premise_met & problem.loop.control.funnel.admits(problem.bandwidth)
-    return (
-        jnp.where(is_premise_met, funnel, inadmissible),
-        jnp.where(admits, reaching, inadmissible),
-        jnp.where(admits, tracking, inadmissible),
-    )
+    later = later_verdicts(problem, is_complete, unfinished, horizon, reach_time, settle_time)
+    is_admitted = (outcome != Outcome.BAD_PARAMETERS) & ~course.starts_outside
+    funnel, reaching, tracking = (jnp.where(is_admitted, verdict, inadmissible) for verdict in (funnel, *later))
+    return funnel, reaching, tracking
 
 
 def _violation_time(course: Course) -> Float[Array, ""]:
     """When the run first left the funnel: inf if it did not."""
     exit_ = course.cells.first_exit
-    crossed = exit_.start + exit_.sigma.first_ascent(1.0) * exit_.length
+    crossed = exit_.start + exit_.cubic.first_ascent(1.0) * exit_.length
     time = jnp.where(exit_.length > 0.0, crossed, jnp.inf)
     return jnp.where(course.starts_outside, 0.0, time)
 

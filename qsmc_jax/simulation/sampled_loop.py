@@ -81,8 +81,7 @@ class Course(AbstractModule):
         step: Length [s] of the longest cell that the tolerance allows, as far as is known.
         steps: Cells tried so far.
         is_running: Whether the run goes on.
-        starts_outside: Whether it started outside the funnel.
-        farthest: How far out, in funnel widths, it counts as lost.
+        first_ratio: |sigma| / rho at the start.
         cells: Figures of the plant.
         commands: Figures of the commands.
         saved: States and inputs at the times asked for.
@@ -94,11 +93,20 @@ class Course(AbstractModule):
     step: RealScalarLike
     steps: RealScalarLike
     is_running: Bool[Array, ""]
-    starts_outside: Bool[Array, ""]
-    farthest: RealScalarLike
+    first_ratio: RealScalarLike
     cells: CellTally
     commands: CommandTally
     saved: Saved | None
+
+    @property
+    def starts_outside(self) -> BoolScalarLike:
+        """Whether it started outside the funnel."""
+        return jnp.asarray(self.first_ratio >= 1.0)
+
+    @property
+    def farthest(self) -> RealScalarLike:
+        """How far out, in funnel widths, it counts as lost."""
+        return _LOST * jnp.maximum(1.0, self.first_ratio)
 
 
 class Plan(AbstractModule):
@@ -135,7 +143,6 @@ def run_sampled(
     """
     plan, zero = _plan(problem, implementation, horizon, settings), jnp.zeros(())
     start = jax.tree.map(jnp.asarray, at_instant(problem, zero, tuple(map(jnp.asarray, x0))))
-    distance = jnp.abs(start.sigma) / start.rho
     computer = Computer(
         memory=tuple(map(jnp.asarray, problem.loop.control.first_memory())),
         sent=zero,
@@ -152,8 +159,7 @@ def run_sampled(
         step=_FIRST_STEP * horizon,
         steps=zero,
         is_running=jnp.asarray(is_admitted),
-        starts_outside=distance >= 1.0,
-        farthest=_LOST * jnp.maximum(1.0, distance),
+        first_ratio=jnp.abs(start.sigma) / start.rho,
         cells=first_cell_tally(problem, start),
         commands=first_command_tally(),
         saved=None if ts is None else Saved(ts, (jnp.zeros_like(ts),) * len(x0), jnp.zeros_like(ts), jnp.array(0)),
@@ -287,19 +293,16 @@ def _handle(plan: Plan, course: Course, has_event: BoolScalarLike) -> Course:
 def _sample(plan: Plan, course: Course, computer: Computer) -> tuple[Computer, CommandTally]:
     """The computer after one more sample, and the figures of its commands."""
     loop, implementation, now, k = plan.problem.loop, plan.implementation, course.now, computer.sample
-    if implementation.measurement_delay is None:
-        t, desired, rho = now.t, None, now.rho
-    else:
-        t = implementation.instant(k)
-        desired, rho = loop.desired(t), loop.control.funnel(t)
+    is_old = implementation.measurement_delay is not None
     is_exact = implementation.noise is None and implementation.measurement_resolution is None
-    if is_exact and desired is None:
-        sigma = now.sigma
-    else:
-        desired = loop.desired(t) if desired is None else desired
+    t = implementation.instant(k) if is_old else now.t
+    rho = loop.control.funnel(t) if is_old else now.rho
+    desired = loop.desired(t)
+    if is_old or not is_exact:
         measured = implementation.measured(now.x, t, k)
         sigma = loop.control.surface(tuple(x - d for x, d in zip(measured, desired, strict=False)))
-    desired = loop.desired(t) if desired is None else desired
+    else:
+        sigma = now.sigma
     sample = Sample(t, implementation.sample_period, sigma, rho, desired, implementation.beyond)
     wanted, memory = loop.control.command(sample, computer.memory)
     command = plan.problem.fence(implementation.limited(wanted, computer.sent))

@@ -133,8 +133,8 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
     change = jump + jnp.abs(cell.middle - cell.u0) + jnp.abs(cell.u1 - cell.middle)
     equivalent = jnp.abs(cell.right.equivalent_input - cell.left.equivalent_input)
     gain = problem.loop.control.gain_sign * cell.right.terms.gain
-    ends = [(e.y0, m) for e, m in zip(errors, cell.left.error_rates(cell.u0), strict=True)][0]
-    after = [(e.y1, m) for e, m in zip(errors, cell.right.error_rates(cell.u1), strict=True)][0]
+    left = errors[0].y0, cell.left.error_rates(cell.u0)[0]
+    right = errors[0].y1, cell.right.error_rates(cell.u1)[0]
     return CellTally(
         peak_ratio=jnp.maximum(height, tally.peak_ratio),
         peak_time=jnp.where(is_higher, t0 + place * h, tally.peak_time),
@@ -150,7 +150,7 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         steady_variation=tally.steady_variation + jnp.where(is_steady, change, 0.0),
         equivalent_variation=tally.equivalent_variation + jnp.where(is_steady, equivalent, 0.0),
         energy=tally.energy + h / 6.0 * (cell.u0**2 + 4.0 * cell.middle**2 + cell.u1**2),
-        squared_error=tally.squared_error + integral_of_square(h, ends, after),
+        squared_error=tally.squared_error + integral_of_square(h, left, right),
         filter=_filtered(tally.filter, cell, cutoff, is_steady),
         least_gain=jnp.minimum(tally.least_gain, gain),
         largest_disturbance=jnp.maximum(tally.largest_disturbance, jnp.abs(cell.right.terms.disturbance)),

@@ -54,11 +54,11 @@ class Peak(AbstractModule):
 
 
 class OutsideStep(AbstractModule):
-    """The last step in which |sigma| was at least the bandwidth somewhere: its start, length and sigma in it."""
+    """A step in which something was at least a level somewhere, such as |sigma| the bandwidth, and its course in it."""
 
     start: RealScalarLike
     length: RealScalarLike
-    sigma: Cubic
+    cubic: Cubic
 
 
 class Tally(AbstractModule):

@@ -15,7 +15,7 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.engine import pose, solve
-from qsmc_jax.simulation.figures import Figures
+from qsmc_jax.simulation.figures import Figures, is_refused
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import with_method
@@ -191,7 +191,7 @@ def _solve_and_sample(
     figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts))
     read = _signals if loop.implementation is None else _sampled_signals
     signals = jax.vmap(lambda t, y: read(problem, t, y))(jnp.asarray(ts), saved)
-    has_ended = (ts > figures.end_time) | _is_refused(figures.outcome)
+    has_ended = (ts > figures.end_time) | is_refused(figures.outcome)
     x, desired, e, sigma, rho, u, d = signals
     x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (x, e))
     sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (sigma, u))
@@ -207,10 +207,6 @@ def _signals(problem: Problem, t: Array, y: tuple[Array, ...]) -> tuple[Array, .
     e = [xi - di for xi, di in zip(x, desired, strict=True)]
     u = -loop.control.gain_sign * sinh_cosh(s)[0]
     return jnp.stack(x), jnp.stack(desired), jnp.stack(e), rho * ratio(s), rho, u, jnp.asarray(loop.disturbance(t))
-
-
-def _is_refused(outcome: Array) -> Array:
-    return (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
 
 
 def _sampled_signals(problem: Problem, t: Array, saved: tuple[Array, ...]) -> tuple[Array, ...]:

@@ -74,6 +74,16 @@ class Compared:
     medians: Mapping[str, Estimate]
     ratios: Mapping[str, Estimate]
 
+    @property
+    def total(self) -> int:
+        """Admissible runs."""
+        return self.held + self.violated + self.undecided
+
+    @property
+    def estimate(self) -> float:
+        """Violated runs over admissible ones; NaN where there are none."""
+        return self.violated / self.total if self.total else float("nan")
+
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
@@ -138,9 +148,7 @@ class Comparison:
 
     def _intervals(self) -> Iterator[tuple[Any, ...]]:
         for s in self.studies:
-            total = s.held + s.violated + s.undecided
-            estimate = s.violated / total if total else float("nan")
-            yield s.name, "violation", "probability", estimate, s.low, s.high, total
+            yield s.name, "violation", "probability", s.estimate, s.low, s.high, s.total
             for kind, estimates in (("median", s.medians), ("ratio", s.ratios)):
                 for metric, e in estimates.items():
                     yield s.name, metric, kind, e.median, e.low, e.high, e.runs

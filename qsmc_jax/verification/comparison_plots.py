@@ -54,8 +54,7 @@ def plot_comparison(result: "Comparison") -> Any:
 
 def _probability(ax: Any, result: "Comparison") -> None:
     for row, study in enumerate(result.studies):
-        total = study.held + study.violated + study.undecided
-        _point(ax, row, study.violated / total if total else np.nan, study.low, study.high)
+        _point(ax, row, study.estimate, study.low, study.high)
     least = min(study.high for study in result.studies)
     if least < 0.05:
         ax.set_xscale("symlog", linthresh=least)

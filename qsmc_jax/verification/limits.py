@@ -223,7 +223,8 @@ def _lag_limits(found: OperatingRange, loop: ClosedLoop) -> list[_Line]:
 
 
 def _frequency_limits(found: OperatingRange, loop: ClosedLoop) -> list[_Line]:
-    damping = float(getattr(loop.implementation, "actuator").damping)  # noqa: B009  # any actuator, to type checkers
+    plan: Any = loop.implementation
+    damping = float(plan.actuator.damping)
     at = (
         thresholds.critical_actuator_frequency(*point, damping, found.c) for point in (found.steepest, found.flattest)
     )
