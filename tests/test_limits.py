@@ -110,6 +110,17 @@ def test_a_map_has_its_thresholds_and_can_be_drawn_in_natural_units(tmp_path):
     assert content["claims"]["funnel"]["violated"] == [0, 64]
 
 
+def test_a_run_of_an_implemented_loop_is_solved_in_full_and_written(tmp_path):
+    out, path = tmp_path / "run", written(tmp_path, "Implementation(1e-3 * milliseconds)")
+    done = CliRunner().invoke(app, ["simulate", str(path), "--index", "3", "--out", str(out), "--no-cache"])
+    assert done.exit_code == 0, done.output
+    assert "excess variation of u" in done.output
+    numbers = json.loads((out / "run.json").read_text())
+    assert numbers["verdict"] == "HELD"
+    assert numbers["recovery_time"] == 0.0
+    assert {"run.png", "signals.parquet"} <= {file.name for file in out.iterdir()}
+
+
 def test_natural_units_are_refused_before_anything_is_solved(tmp_path):
     path = written(tmp_path, "Implementation(1e-3 * milliseconds)")
     grid = ["--over", "mu=1,2", "--dimensionless", "--out", str(tmp_path / "map")]

@@ -212,3 +212,12 @@ def test_made_twice_of_one_function_it_compiles_once():
     run(vectorised(jnp.sin), jnp.ones(()))
     run(vectorised(jnp.sin), jnp.ones(()))
     assert len(traces) == 1
+
+
+def test_a_result_that_does_not_depend_on_the_arguments_is_an_array_too():
+    run = jax.jit(lambda x: vectorised(lambda y: (jnp.sin(y), jnp.full((), jnp.nan), jnp.array(3)))(x))
+    results = run(0.5)
+    assert [type(result).__name__ for result in results] == ["ArrayImpl"] * 3
+    assert [result.dtype.name for result in results] == ["float64", "float64", "int64"]
+    direct = vectorised(lambda y: (jnp.sin(y), jnp.full((), jnp.nan)))(jnp.asarray(0.5))
+    assert all(isinstance(result, jax.Array) for result in direct)

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.extend.linear_util as lu
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 from jax.extend.core import primitives as prims
@@ -61,7 +62,10 @@ class _Vectorised(AbstractModule):
             return self.fn(*args, **kwargs)
         # Without inputs of its own, the traced program closes over the arguments, whatever they are.
         program, shape = jax.make_jaxpr(ft.partial(self.fn, *args, **kwargs), return_shape=True)()
-        return jax.tree.unflatten(jax.tree.structure(shape), core.jaxpr_as_fun(_rewritten(program))())
+        results = core.jaxpr_as_fun(_rewritten(program))()
+        # A result that is one number whatever the arguments comes out as a number.
+        arrays = [leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf, leaf.dtype) for leaf in results]
+        return jax.tree.unflatten(jax.tree.structure(shape), arrays)
 
 
 def _rewritten(part: Any) -> Any:
