@@ -76,8 +76,12 @@ def _median(ax: Any, result: "Comparison", metric: str) -> None:
 
 
 def _around_zero(ends: np.ndarray) -> float:
-    """Where a symmetric logarithmic axis becomes linear: a decade above the largest negative end, or a thousandth."""
-    return float(-10.0 * ends.min()) if ends.min() < 0.0 else 1e-3 * float(ends.max())
+    """Where a symmetric logarithmic axis becomes linear: some ten times the largest negative end, or a thousandth.
+
+    A power of ten, since ticks below it would run into the one at zero.
+    """
+    size = -10.0 * ends.min() if ends.min() < 0.0 else 1e-3 * ends.max()
+    return float(10.0 ** np.ceil(np.log10(size)))
 
 
 def _point(ax: Any, row: int, middle: float, low: float, high: float) -> None:
