@@ -1,6 +1,7 @@
 """Batched simulation and verification of quasi-sliding-mode control loops, in JAX.
 
-See `simulate` for one run, `Study` and `monte_carlo` for many, `verify` for a verdict with its confidence.
+See `simulate` for one run, `Study` and `monte_carlo` for many, `verify` for a verdict with its confidence,
+`tune` for gains.
 """
 
 import importlib
@@ -43,6 +44,12 @@ if TYPE_CHECKING:
     from qsmc_jax.study.sampling import Sobol as Sobol
     from qsmc_jax.study.study import Scenario as Scenario
     from qsmc_jax.study.study import Study as Study
+    from qsmc_jax.tuning import objectives as objectives
+    from qsmc_jax.tuning.certificate import Certificate as Certificate
+    from qsmc_jax.tuning.landscape import Landscape as Landscape
+    from qsmc_jax.tuning.landscape import landscape as landscape
+    from qsmc_jax.tuning.result import Tuning as Tuning
+    from qsmc_jax.tuning.tune import tune as tune
     from qsmc_jax.verification.comparison import Comparison as Comparison
     from qsmc_jax.verification.comparison import compare as compare
     from qsmc_jax.verification.critical import critical_value as critical_value
@@ -85,6 +92,11 @@ _HOMES = {
     "Study": "qsmc_jax.study.study",
     "Comparison": "qsmc_jax.verification.comparison",
     "compare": "qsmc_jax.verification.comparison",
+    "Certificate": "qsmc_jax.tuning.certificate",
+    "Landscape": "qsmc_jax.tuning.landscape",
+    "landscape": "qsmc_jax.tuning.landscape",
+    "Tuning": "qsmc_jax.tuning.result",
+    "tune": "qsmc_jax.tuning.tune",
     "CriticalValue": "qsmc_jax.verification.critical_result",
     "critical_value": "qsmc_jax.verification.critical",
     "RobustnessMap": "qsmc_jax.verification.robustness",
@@ -98,6 +110,7 @@ _NAMESPACES = {
     "actuators": "qsmc_jax.implementation.actuators",
     "controllers": "qsmc_jax.control.controllers",
     "disturbances": "qsmc_jax.model.disturbances",
+    "objectives": "qsmc_jax.tuning.objectives",
     "noises": "qsmc_jax.implementation.noises",
     "paper": "qsmc_jax.paper",
     "plants": "qsmc_jax.model.plants",

@@ -49,3 +49,15 @@ def waiting(task: str, *, quiet: bool) -> Iterator[None]:
 
     with Console(stderr=True).status(task):
         yield
+
+
+@contextlib.contextmanager
+def live_line(task: str, *, quiet: bool) -> Iterator[Callable[[str], None] | None]:
+    """A spinner with a text that can be replaced while work goes on."""
+    if quiet:
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(task) as status:
+        yield lambda text: status.update(f"{task}: {text}")

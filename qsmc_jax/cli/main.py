@@ -1,4 +1,4 @@
-"""The commands `qsmc verify`, `qsmc simulate` and `qsmc paper`; `map`, `critical` and `compare` stand beside it.
+"""The commands `qsmc verify`, `qsmc simulate` and `qsmc paper`; `map`, `critical`, `compare` and `tune` stand beside it.
 
 Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.
 """
@@ -16,6 +16,7 @@ from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Out, Overrides, R
 from qsmc_jax.cli.robustness_commands import register
 from qsmc_jax.cli.session import UNDECIDED, session
 from qsmc_jax.cli.study_file import load_study
+from qsmc_jax.cli.tune_command import tune_study
 
 if TYPE_CHECKING:
     from qsmc_jax.simulation.outcome import Verdict
@@ -24,7 +25,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Simulate and verify quasi-sliding-mode control loops. "
+    help="Simulate, verify and tune quasi-sliding-mode control loops. "
     "Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.",
 )
 
@@ -146,6 +147,7 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
 
 
 register(app)
+app.command("tune")(tune_study)
 
 
 def _exit_code(verdict: "Verdict") -> int:

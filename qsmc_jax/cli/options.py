@@ -9,7 +9,12 @@ StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Python file th
 StudiesFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Python file that defines `studies`, by name.")]
 Overrides = Annotated[
     list[str] | None,
-    typer.Option("-S", "--set", metavar="NAME=VALUE", help="Fix a name of the study; repeatable. Vectors: x0=0.5,0.5"),
+    typer.Option(
+        "-S",
+        "--set",
+        metavar="NAME=VALUE",
+        help="Fix a name of the study; repeatable. Vectors: x0=0.5,0.5. Tuned gains: @FOLDER",
+    ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the study.")]
 Out = Annotated[Path | None, typer.Option(help="New folder for data and pictures.")]

@@ -1,5 +1,6 @@
 """Loading the study that a user names, and the overrides that go with it."""
 
+import json
 import runpy
 import traceback
 from pathlib import Path
@@ -14,7 +15,8 @@ def load_study(path: Path, overrides: list[str]) -> "Study":
 
     Args:
         path: A Python file that defines `study = qsmc_jax.Study(...)`.
-        overrides: Texts `name=value`; a value is a number, or numbers with commas between them.
+        overrides: Texts `name=value`; a value is a number, or numbers with commas between them. `@path` stands for
+            the gains in the result of `qsmc tune`, its folder or its JSON file.
 
     Raises:
         ValueError: The file is missing, raises, or has no `study`; or an override is wrong.
@@ -25,7 +27,7 @@ def load_study(path: Path, overrides: list[str]) -> "Study":
     if not isinstance(names.get("study"), Study):
         found = "no `study`" if "study" not in names else f"a `study` that is a `{type(names['study']).__name__}`"
         raise ValueError(f"File `{path}` must define `study = qsmc_jax.Study(scenario, bandwidth)`, but has {found}.")
-    return names["study"].substitute(**dict(map(_parse, overrides)))
+    return names["study"].substitute(**_values(overrides))
 
 
 def load_studies(path: Path, overrides: list[str]) -> "dict[str, Study]":
@@ -44,7 +46,7 @@ def load_studies(path: Path, overrides: list[str]) -> "dict[str, Study]":
     is_named = isinstance(studies, dict) and all(isinstance(name, str) for name in studies)
     if not (studies and is_named and all(isinstance(study, Study) for study in studies.values())):
         raise ValueError(f"File `{path}` must define `studies`, a dictionary of `qsmc_jax.Study` by name, but has not.")
-    values = dict(map(_parse, overrides))
+    values = _values(overrides)
     return {name: study.substitute(**values) for name, study in studies.items()}
 
 
@@ -58,6 +60,28 @@ def _run(path: Path) -> dict[str, Any]:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         place = f", line {lines[-1]}" if lines else ""
         raise ValueError(f"File `{path}`{place}: {type(error).__name__}: {error}") from None
+
+
+def _values(overrides: list[str]) -> dict[str, Any]:
+    """The numbers to substitute, later ones over earlier."""
+    values: dict[str, Any] = {}
+    for override in overrides:
+        values.update(_gains(Path(override[1:])) if override.startswith("@") else [_parse(override)])
+    return values
+
+
+def _gains(path: Path) -> dict[str, float]:
+    """The gains that a tuning wrote."""
+    file = path / "tuning.json" if path.is_dir() else path
+    try:
+        return {
+            str(name): float(value) for name, value in json.loads(file.read_text(encoding="utf-8"))["gains"].items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(
+            f"Argument `-S @...` must name a result of `qsmc tune`, but `{file}` is none: {reason}."
+        ) from None
 
 
 def _parse(override: str) -> tuple[str, Any]:

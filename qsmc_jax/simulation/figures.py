@@ -96,6 +96,12 @@ class Figures(AbstractModule):
         sampled = own.pop("sampled")
         return own if sampled is None else {**own, **vars(sampled)}
 
+    def columns(self) -> dict[str, Any]:
+        """Every figure by the name of its column: `peak_error[i]` is that of the i-th derivative of the error."""
+        named = self.named()
+        peaks = named.pop("peak_errors")
+        return {**named, **{f"peak_error[{i}]": peak for i, peak in enumerate(peaks)}}
+
 
 class Ending(AbstractModule):
     """What the solver hands over: whether the run was admissible, the horizon, and where and how the solve stopped."""

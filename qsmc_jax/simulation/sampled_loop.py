@@ -9,6 +9,7 @@ import dataclasses
 import functools as ft
 
 import diffrax as dfx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -165,7 +166,14 @@ def run_sampled(
         saved=None if ts is None else Saved(ts, (jnp.zeros_like(ts),) * len(x0), jnp.zeros_like(ts), jnp.array(0)),
     )
     start = first, any_lane(first.is_running)
-    return jax.lax.while_loop(lambda carry: carry[1], ft.partial(_in_step, plan), start)[0]
+    # The one kind of loop can be differentiated backwards, the other forwards; solving is the same.
+    kind = "checkpointed" if settings.adjoint == "reverse" else "lax"
+    advance = ft.partial(_in_step, plan)
+    return eqxi.while_loop(_goes_on, advance, start, max_steps=settings.max_steps, kind=kind)[0]
+
+
+def _goes_on(carry: tuple[Course, BoolScalarLike]) -> BoolScalarLike:
+    return carry[1]
 
 
 def _in_step(plan: Plan, carry: tuple[Course, BoolScalarLike]) -> tuple[Course, BoolScalarLike]:

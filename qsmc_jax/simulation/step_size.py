@@ -19,6 +19,8 @@ _LONGEST_STEP = 0.005
 # The first step, relative to the horizon: small, so that no start is too stiff for it. It grows tenfold with every step
 # kept.
 _FIRST_STEP = 1e-6
+# Grains of the error that the controller sees, in its 16th root: too coarse for rounding, too fine to cost a step.
+_GRAINS = 1024.0
 # Break times closer than this, relative to the horizon, are one and the same up to rounding.
 _SAME_TIME = 1e-13
 
@@ -45,11 +47,15 @@ def controller(break_times: Float[Array, " breaks"], horizon: RealScalarLike) ->
 
 
 def _norm(error: Run) -> Float[Array, ""]:
-    """The 16th root of the largest error: the controller's powers are then 2 and -1, which cost nothing."""
+    """The 16th root of the largest error, rounded up: the controller's powers are then 2 and -1, which cost nothing.
+
+    Rounded, it is the same in programs that differ in the last place. Where stability limits the steps these are a
+    chaotic sequence otherwise: reverse mode, which makes parts of a run again, would differentiate another run.
+    """
     root = jax.lax.stop_gradient(optx.max_norm(error.y))
     for _ in range(4):
         root = jnp.sqrt(root)
-    return root
+    return jnp.ceil(root * _GRAINS) / _GRAINS
 
 
 class _Started(dfx.AbstractStepSizeController):

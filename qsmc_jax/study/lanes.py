@@ -49,14 +49,14 @@ class Lanes:
 
     def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
         """How stiff each of up to `count` runs will be."""
-        program = _compiled(_stiffness, self.study.scenario, self._shapes(), self.study.dimension, self.count)
+        program = compiled(_stiffness, self.study.scenario, self.shapes(), self.study.dimension, self.count)
         with jax.enable_x64(True):
-            return np.asarray(program(self._filled(points), self._values()))[: len(points)]
+            return np.asarray(program(self.filled(points), self.values()))[: len(points)]
 
     def compile(self, method: str) -> Program:
         """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
         block = _Block(self.settings.replace(method=method).choices)
-        return _compiled(block, self.study.scenario, self._shapes(), self.study.dimension, self.count, numbers=3)
+        return compiled(block, self.study.scenario, self.shapes(), self.study.dimension, self.count, numbers=3)
 
     def compile_nominal(self) -> None:
         """The program that the nominal run needs, and with it most others."""
@@ -68,23 +68,25 @@ class Lanes:
         program, bandwidth = self.compile(method), np.float64(self.study.bandwidth)
         numbers = bandwidth, self.settings.rtol, self.settings.atol
         with jax.enable_x64(True):
-            result = jax.device_get(program(self._filled(points), self._values(), *numbers))
+            result = jax.device_get(program(self.filled(points), self.values(), *numbers))
         return _table(self.study, indices, *result)
 
-    def _filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
+    def filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
+        """The points, and the first again for every lane left over."""
         return np.concatenate([points, np.repeat(points[:1], self.count - len(points), axis=0)])
 
-    def _shapes(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
-        return tuple((name, value.shape) for name, value in self._values().items())
+    def shapes(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        """Name and shape of each of `values`."""
+        return tuple((name, value.shape) for name, value in self.values().items())
 
-    def _values(self) -> dict[str, np.ndarray]:
+    def values(self) -> dict[str, np.ndarray]:
         """Every parameter and every substituted name: data, so that no value is compiled in."""
         parameters = {spec.name: spec.nominal for spec in self.study.specs if spec.kind == "parameter"}
         return {name: np.asarray(value) for name, value in sorted({**parameters, **self.study.values}.items())}
 
 
 @ft.lru_cache(maxsize=64)
-def _compiled(
+def compiled(
     block: Callable[..., Any],
     scenario: Callable[[Any], Any],
     shapes: tuple[tuple[str, tuple[int, ...]], ...],
@@ -127,10 +129,10 @@ class _Block:
         atol: Float[Array, ""],
     ) -> tuple[dict[str, Array], Figures]:
         settings = SolverSettings(rtol, atol, **dict(self.choices))
-        return jax.vmap(ft.partial(_run, scenario, settings, bandwidth, values))(points)
+        return jax.vmap(ft.partial(run, scenario, settings, bandwidth, values))(points)
 
 
-def _run(
+def run(
     scenario: Callable[[Any], Any],
     settings: SolverSettings,
     bandwidth: Float[Array, ""],
@@ -153,9 +155,5 @@ def _table(study: Study, indices: np.ndarray, record: Mapping[str, np.ndarray], 
         flat = record[spec.name].reshape(len(record[spec.name]), -1)
         columns.update({name: flat[:rows, i] for i, name in enumerate(spec.columns)})
     names = tuple(columns)[1:]
-    for name, value in figures.named().items():
-        if isinstance(value, tuple):
-            columns.update({f"peak_error[{i}]": peak[:rows] for i, peak in enumerate(value)})
-        else:
-            columns[name] = value[:rows]
+    columns.update({name: value[:rows] for name, value in figures.columns().items()})
     return Runs(columns, names)

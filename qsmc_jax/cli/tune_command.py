@@ -1,0 +1,139 @@
+"""The command `qsmc tune`.
+
+Exit codes: 0 certified (or tuned, if no certificate was asked for), 2 bad input, 3 not certified, or interrupted.
+"""
+
+import contextlib
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from qsmc_jax.cli.console import live_line, say, waiting
+from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.session import UNDECIDED, session
+from qsmc_jax.cli.study_file import load_study
+
+if TYPE_CHECKING:
+    from qsmc_jax.tuning.batch import Evaluation
+    from qsmc_jax.tuning.result import Tuning
+
+
+def tune_study(
+    study_file: StudyFile,
+    names: Annotated[str, typer.Option("--for", metavar="NAME,NAME", help="Parameters to tune, with commas.")],
+    objective: Annotated[
+        str, typer.Option(help='What to make small: "cvar(peak_error[0], 0.9) + 0.01 * mean(energy_u)".')
+    ],
+    subject_to: Annotated[
+        list[str] | None,
+        typer.Option(help='What to keep; repeatable: "worst(peak_u) <= 20", "violation <= 0.01".'),
+    ] = None,
+    against: Annotated[str | None, typer.Option(help="Second objective, for a Pareto front of two gains.")] = None,
+    runs: Annotated[int, typer.Option(help="Training runs of each evaluation.")] = 256,
+    method: Annotated[Literal["slsqp", "adam", "bfgs"], typer.Option(help="Method of descent.")] = "slsqp",
+    mode: Annotated[
+        Literal["auto", "forward", "reverse"], typer.Option(help="Differentiation; auto: forward up to four gains.")
+    ] = "auto",
+    steps: Annotated[int, typer.Option(help="Steps of a descent at most.")] = 50,
+    starts: Annotated[int, typer.Option(help="Starting points, the study's own among them.")] = 4,
+    descents: Annotated[int, typer.Option(help="From how many of them to descend.")] = 1,
+    certificate_runs: Annotated[int, typer.Option(help="Fresh runs for the certificate; 0 for none.")] = 10_000,
+    risk: Annotated[float, typer.Option(help="Probability of failure to be shown.")] = 1e-2,
+    confidence: Annotated[float, typer.Option(help="That all statements of all certificates hold.")] = 0.95,
+    designs: Annotated[int, typer.Option(help="Designs at most, until one is certified.")] = 3,
+    points: Annotated[int, typer.Option(help="Values of each gain in the pictures of two gains.")] = 12,
+    seed: Seed = 0,
+    overrides: Overrides = None,
+    out: Out = None,
+    as_json: Json = False,
+    rtol: Rtol = 1e-6,
+    max_steps: MaxSteps = 100_000,
+    block: Block = 512,
+    threads: Threads = None,
+    cache: Cache = True,
+) -> None:
+    """Tune parameters of a study by gradients through the simulation, and certify them on fresh runs.
+
+    Exit codes: 0 certified, 2 bad input, 3 not certified or interrupted.
+    """
+    with session(cache):
+        from qsmc_jax.report.folder import ResultFolder, to_json
+        from qsmc_jax.report.provenance import provenance
+        from qsmc_jax.simulation.settings import SolverSettings
+        from qsmc_jax.tuning.tune import tune
+
+        with ResultFolder(out) if out else contextlib.nullcontext() as folder:
+            study, parameters = (
+                load_study(study_file, overrides or []),
+                tuple(part.strip() for part in names.split(",")),
+            )
+            forward = mode == "forward" or (mode == "auto" and len(parameters) <= 4)
+            settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint="forward" if forward else "reverse")
+            solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
+            search: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
+            claim: Any = {"certificate_runs": certificate_runs, "risk": risk, "confidence": confidence}
+            with live_line("tuning", quiet=as_json) as tell:
+                told = None if tell is None else _Told(tell)
+                watched: Any = {"tell": told, "progress": None if told is None else told.certifying}
+                result = tune(study, parameters, objective, subject_to or (), **search, **claim, **solving, **watched)
+            content = {**result.summary(), "provenance": provenance(study_file, sys.argv)}
+            if folder:
+                folder.add_json("tuning.json", content)
+                folder.add_table("tuning.parquet", result.table())
+                with waiting("drawing", quiet=as_json):
+                    _draw(folder.add_figure, result, against, points, min(runs, 128))
+                folder.commit()
+        again = f"\nWritten to {out}. Again: qsmc verify {study_file} -S @{out} --seed {seed + 1000}" if out else ""
+        say(to_json(content) if as_json else str(result) + again)
+    raise typer.Exit(0 if result.is_certified or not certificate_runs else UNDECIDED)
+
+
+class _Told:
+    """Says where a search stands."""
+
+    def __init__(self, tell: Callable[[str], None]):
+        self._tell, self._count, self._best = tell, 0, float("inf")
+
+    def __call__(self, made: "Evaluation") -> None:
+        self._count += 1
+        if made.is_feasible:
+            self._best = min(self._best, made.objective)
+        gains = ", ".join(f"{name} {value:.4g}" for name, value in made.gains.items())
+        kept = "" if made.is_feasible else f", a constraint passed by {100 * max(made.excess, default=0.0):.2g} %"
+        self._tell(
+            f"evaluation {self._count}, {made.spent} simulations, {gains}: {made.objective:.5g}{kept} "
+            f"(best {self._best:.5g})"
+        )
+
+    def certifying(self, done: int, total: int) -> None:
+        self._tell(f"certifying, {done} of {total} fresh runs")
+
+
+def _draw(add: Callable[[str, Any], None], result: "Tuning", against: str | None, points: int, runs: int) -> None:
+    """The pictures: the search, the loop before and after, and for two gains the landscape and the Pareto front."""
+    from qsmc_jax.simulation.trajectory_plots import plot_trajectory
+    from qsmc_jax.tuning.landscape import landscape
+
+    add("tuning.png", result.plot())
+    before = result.base.substitute(**result.before.gains)
+    labels = [
+        ", ".join(f"{name} = {value:.4g}" for name, value in gains.items())
+        for gains in (result.before.gains, result.gains)
+    ]
+    add("before_after.png", plot_trajectory(before.simulate(), result.study.simulate(), labels=tuple(labels)))
+    if len(result.parameters) == 2:
+        made = landscape(
+            result.base,
+            result.parameters,
+            result.objective,
+            result.constraints,
+            against=against,
+            points=points,
+            runs=runs,
+            seed=result.seed,
+        )
+        add("landscape.png", made.plot(result.history))
+        if against is not None:
+            add("pareto.png", made.plot_pareto())

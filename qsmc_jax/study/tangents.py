@@ -1,0 +1,119 @@
+"""Figures of runs and their derivatives by the names of a study: blocks over threads, like the runs themselves."""
+
+import dataclasses
+import functools as ft
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.stiffness import method_for
+from qsmc_jax.study.lanes import Lanes, compiled, run
+from qsmc_jax.study.sampling import Random
+from qsmc_jax.study.study import Study
+
+
+@dataclasses.dataclass(frozen=True)
+class Tangents:
+    """Figures of some runs and their derivatives, one row a run.
+
+    Attributes:
+        values: Figures, (runs, metrics); NaN where a figure is not known.
+        jacobian: Their derivatives by the names, (runs, metrics, names); 0 where a figure or its derivative is not
+            known, so that no mean is spoilt.
+        is_known: Where figure and derivative are both known, (runs, metrics).
+        verdict: The runs' verdicts on the funnel.
+    """
+
+    values: Float[np.ndarray, "runs metrics"]
+    jacobian: Float[np.ndarray, "runs metrics names"]
+    is_known: np.ndarray
+    verdict: np.ndarray
+
+
+def differentiate(
+    study: Study,
+    indices: np.ndarray,
+    seed: int,
+    *,
+    names: tuple[str, ...],
+    metrics: tuple[str, ...],
+    settings: SolverSettings,
+    block: int,
+    threads: int | None = None,
+) -> Tangents:
+    """Solves independent runs and differentiates their figures by numbers of the study.
+
+    The supremum's derivative is that of the value at its place, which is right wherever the place is unique. Memory in
+    forward mode is that of the runs times one plus the names; in reverse mode it grows with the square root of
+    `max_steps`.
+
+    Args:
+        study: The study, at the values at which to differentiate.
+        indices: Indices of the runs.
+        seed: Seed of the study.
+        names: Parameters of the study, each one number.
+        metrics: Columns of the table of runs, each a number with a derivative.
+        settings: Method, tolerances, and the mode: `adjoint="forward"` for a few names, `"reverse"` for many.
+        block: Runs solved together, a multiple of 64.
+        threads: Blocks solved at the same time; None for one a core.
+
+    Returns:
+        The figures and derivatives, on the host.
+    """
+    if settings.method == "auto":
+        settings = settings.replace(method=method_for(study.stiffness, study.stiffness))
+    lanes = Lanes(study, settings, block)
+    work = _Block(settings.choices, names, metrics)
+    program = compiled(work, study.scenario, lanes.shapes(), study.dimension, block, numbers=3)
+    numbers = np.float64(study.bandwidth), settings.rtol, settings.atol
+    chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
+
+    def solve(chunk: np.ndarray) -> list[np.ndarray]:
+        points = Random().points(seed, chunk, study.dimension)
+        with jax.enable_x64(True):
+            result = jax.device_get(program(lanes.filled(points), lanes.values(), *numbers))
+        return [np.asarray(part)[: len(chunk)] for part in result]
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        values, jacobian, verdict = map(np.concatenate, zip(*pool.map(solve, chunks), strict=True))
+    is_known = np.isfinite(values) & np.isfinite(jacobian).all(axis=2)
+    return Tangents(values, np.where(is_known[:, :, None], jacobian, 0.0), is_known, verdict)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Block:
+    """Differentiates runs together; made twice of equal settings it is equal, so that nothing is compiled twice."""
+
+    choices: tuple[tuple[str, Any], ...]
+    names: tuple[str, ...]
+    metrics: tuple[str, ...]
+
+    def __call__(
+        self,
+        scenario: Any,
+        points: Float[Array, "lanes dim"],
+        values: Mapping[str, Array],
+        bandwidth: Float[Array, ""],
+        rtol: Float[Array, ""],
+        atol: Float[Array, ""],
+    ) -> tuple[Array, Array, Array]:
+        settings = SolverSettings(rtol, atol, **dict(self.choices))
+        at = jnp.stack([values[name] for name in self.names])
+        mode = jax.jacfwd if settings.adjoint == "forward" else jax.jacrev
+
+        def figures(at: Float[Array, " names"], point: Float[Array, " dim"]) -> tuple[Array, tuple[Array, Array]]:
+            tuned = {name: at[i] for i, name in enumerate(self.names)}
+            _, made = run(scenario, settings, bandwidth, {**values, **tuned}, point)
+            columns = made.columns()
+            chosen = jnp.stack([columns[metric] for metric in self.metrics])
+            return chosen, (chosen, made.verdict)
+
+        jacobian, (chosen, verdict) = jax.vmap(ft.partial(mode(figures, has_aux=True), at))(points)
+        return chosen, jacobian, verdict

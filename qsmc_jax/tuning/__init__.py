@@ -1,0 +1,1 @@
+"""Gains chosen by gradients through the simulation, and what certifies them."""

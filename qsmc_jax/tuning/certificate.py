@@ -1,0 +1,163 @@
+"""What fresh runs say of tuned gains: the only numbers here that are a guarantee."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.monte_carlo import Progress
+from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.study import Study
+from qsmc_jax.tuning.objectives import Constraint, Objective
+from qsmc_jax.verification.decided import decide, part_of
+from qsmc_jax.verification.simultaneous import each_of
+from qsmc_jax.verification.statistics import clopper_pearson
+
+
+@dataclasses.dataclass(frozen=True)
+class Guarantee:
+    """How often one thing fails, over fresh runs.
+
+    Attributes:
+        statement: What is said of a run.
+        failed: Runs in which it is false.
+        undecided: Runs that could not be decided; counted both ways in the interval.
+        runs: All runs.
+        low: Lower end of the interval of the probability that it is false.
+        high: Upper end.
+    """
+
+    statement: str
+    failed: int
+    undecided: int
+    runs: int
+    low: float
+    high: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Certificate:
+    """What fresh runs say of some gains. All its intervals, with those of every other candidate, hold together.
+
+    Attributes:
+        gains: The gains.
+        seed: Seed of the fresh runs.
+        runs: How many.
+        risk: The probability that was to be shown.
+        confidence: That all intervals of this design hold together.
+        guarantees: The funnel claim, and each constraint on single runs.
+        objective: The objective over the fresh runs.
+        training_objective: The same over the training runs.
+    """
+
+    gains: dict[str, float]
+    seed: int
+    runs: int
+    risk: float
+    confidence: float
+    guarantees: tuple[Guarantee, ...]
+    objective: float
+    training_objective: float
+
+    @property
+    def is_granted(self) -> bool:
+        """Whether each probability of failure is shown to be at most the risk."""
+        return all(each.high <= self.risk for each in self.guarantees)
+
+    @property
+    def optimism(self) -> float:
+        """The objective over fresh runs less that over the training runs: what the choice of gains flattered it by."""
+        return self.objective - self.training_objective
+
+    def __str__(self) -> str:
+        rows = [
+            f"{'GRANTED' if self.is_granted else 'REFUSED'}: {self.runs} fresh runs, seed {self.seed}, "
+            f"risk {self.risk:g}; all intervals together with {100 * self.confidence:.4g} % confidence"
+        ]
+        rows += [
+            f"  {each.statement:28} false in {each.failed} of {each.runs} ({each.undecided} undecided): "
+            f"probability in [{each.low:.3g}, {each.high:.3g}]"
+            for each in self.guarantees
+        ]
+        rows.append(
+            f"  objective {self.objective:.6g} on fresh runs, {self.training_objective:.6g} on training runs "
+            f"(optimism {self.optimism:+.2g})"
+        )
+        return "\n".join(rows)
+
+
+def confidence_of(attempt: int, confidence: float) -> float:
+    r"""The confidence of design j = `attempt` + 1, which has $6 / (\pi^2 j^2)$ of the risk that all share.
+
+    Source: Calafiore, IEEE TAC 62 (2017), repetitive scenario design.
+    """
+    return 1.0 - (1.0 - confidence) * 6.0 / (math.pi * (attempt + 1)) ** 2
+
+
+def certify(
+    study: Study,
+    candidates: list[tuple[dict[str, float], float]],
+    objective: Objective,
+    constraints: tuple[Constraint, ...],
+    *,
+    runs: int,
+    seed: int,
+    risk: float,
+    confidence: float,
+    settings: SolverSettings,
+    block: int,
+    threads: int | None,
+    progress: Progress | None,
+) -> list[Certificate]:
+    """Tries candidates on fresh runs, the same for all; doubtful runs climb the ladder as in `verify`.
+
+    Args:
+        study: The study.
+        candidates: Gains, and the objective that they had in training.
+        objective: The objective.
+        constraints: The constraints; those on single runs are certified, those on means are not.
+        runs: Fresh runs of each.
+        seed: Their seed, not that of the training.
+        risk: The probability of failure to be shown.
+        confidence: That all intervals of all candidates hold together.
+        settings: Method and tolerances.
+        block: Runs solved together.
+        threads: Blocks solved at the same time.
+        progress: Called as `progress(done, all)`.
+    """
+    single = [constraint for constraint in constraints if constraint.per_run]
+    each = each_of(len(candidates) * (1 + len(single)), confidence)
+    made = []
+    for number, (gains, trained) in enumerate(candidates):
+        told = part_of(progress, number * runs, len(candidates) * runs)
+        there = study.substitute(**gains)
+        tables = decide(there, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
+        table = concatenate(list(tables))
+        verdict = table["verdict"]
+        # A start outside the funnel counts as a failure: gains must not look safe by shutting runs out.
+        funnel = _counted(
+            "in the funnel from t = 0 on",
+            (verdict == Verdict.VIOLATED) | (verdict == Verdict.INADMISSIBLE),
+            verdict == Verdict.UNDECIDED,
+            each,
+        )
+        kept = [_kept(constraint, table, each) for constraint in single]
+        fresh = objective.evaluate({metric: table[metric] for metric in objective.metrics})[0]
+        made.append(Certificate(gains, seed, runs, risk, confidence, (funnel, *kept), fresh, trained))
+    return made
+
+
+def _kept(constraint: Constraint, table: Runs, confidence: float) -> Guarantee:
+    """How often a single run passes the bound; a run whose figure is not known is undecided."""
+    metric = str(constraint.per_run)
+    values, sign = table[metric], "<=" if constraint.side > 0 else ">="
+    is_unknown = np.isnan(values)
+    passes = constraint.side * (values - constraint.bound) > 0.0
+    return _counted(f"{metric} {sign} {constraint.bound:g}", passes & ~is_unknown, is_unknown, confidence)
+
+
+def _counted(statement: str, failed: np.ndarray, undecided: np.ndarray, confidence: float) -> Guarantee:
+    low, high = clopper_pearson(int(failed.sum()), int(undecided.sum()), len(failed), confidence)
+    return Guarantee(statement, int(failed.sum()), int(undecided.sum()), len(failed), low, high)

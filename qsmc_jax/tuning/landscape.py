@@ -1,0 +1,113 @@
+"""Objective and constraints over a grid of two gains, on the same training runs: where the search went, and why."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.monte_carlo import BLOCK
+from qsmc_jax.study.study import Study
+from qsmc_jax.tuning.batch import Batch, Evaluation
+from qsmc_jax.tuning.box import box_of
+from qsmc_jax.tuning.objectives import Constraint, Objective, parse_constraint, parse_objective
+from qsmc_jax.tuning.result_plots import plot_contour, plot_pareto
+
+
+@dataclasses.dataclass(frozen=True)
+class Landscape:
+    """Figures over a grid of two gains.
+
+    Attributes:
+        names: The two gains.
+        grids: Their values.
+        objectives: What was evaluated; the first is the objective.
+        constraints: The constraints.
+        values: Each objective, (objectives, first, second).
+        is_feasible: Where every constraint is kept, (first, second).
+    """
+
+    names: tuple[str, str]
+    grids: tuple[Float[np.ndarray, " first"], Float[np.ndarray, " second"]]
+    objectives: tuple[Objective, ...]
+    constraints: tuple[Constraint, ...]
+    values: Float[np.ndarray, "objectives first second"]
+    is_feasible: np.ndarray
+
+    @property
+    def is_efficient(self) -> np.ndarray:
+        """Which feasible cells no other feasible cell beats in the first two objectives, (first, second)."""
+        points = self.values[:2].reshape(2, -1).T
+        points = np.where(self.is_feasible.reshape(-1, 1) & np.isfinite(points), points, np.inf)
+        no_worse = np.all(points[None] <= points[:, None], axis=2)
+        better = np.any(points[None] < points[:, None], axis=2)
+        efficient = ~np.any(no_worse & better, axis=1) & np.isfinite(points).all(axis=1)
+        return efficient.reshape(self.is_feasible.shape)
+
+    def plot(self, path: Sequence[Evaluation] = ()) -> Any:
+        """Contours of the objective, where the constraints are kept, and the path of a search (`Tuning.history`)."""
+        return plot_contour(self, path)
+
+    def plot_pareto(self, marked: Sequence[tuple[str, float, float]] = ()) -> Any:
+        """The second objective against the first, efficient cells joined; and marked points, (label, first, second)."""
+        require(len(self.objectives) > 1, "A Pareto front needs two objectives: give `against`.")
+        return plot_pareto(self, marked)
+
+
+def landscape(
+    study: Study,
+    parameters: Sequence[str],
+    objective: str | Objective,
+    subject_to: Sequence[str | Constraint] = (),
+    *,
+    against: str | Objective | None = None,
+    points: int = 12,
+    runs: int = 128,
+    seed: int = 0,
+    settings: SolverSettings | None = None,
+    block: int = BLOCK,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Landscape:
+    """Evaluates objective and constraints over the whole range of two parameters, every cell on the same runs.
+
+    Args:
+        study: The study.
+        parameters: Two names, as for `tune`.
+        objective: The objective, such as accuracy.
+        subject_to: The constraints.
+        against: A second objective, such as effort, for the Pareto front.
+        points: Values of each parameter, spread evenly over its bounds (in the logarithm if they are far apart).
+        runs: Runs of each cell.
+        seed: Their seed.
+        settings: Method and tolerances.
+        block: Runs solved together at most.
+        threads: Blocks solved at the same time.
+        progress: Called as `progress(done, all)` after each cell.
+
+    Raises:
+        ValueError: An argument is out of range.
+    """
+    names = tuple(parameters)
+    require(len(names) == 2, f"Argument `parameters` must name two parameters, but is {list(names)}.")
+    require(points >= 2, f"Argument `points` must be at least 2, but is {points}.")
+    objectives = tuple(parse_objective(each) for each in (objective, against) if each is not None)
+    constraints = tuple(map(parse_constraint, subject_to))
+    box = box_of(study, names)
+    asked = (*(each <= 1.0 for each in objectives), *constraints)  # bounds of no meaning: all figures of one solve
+    batch = Batch(study, box, objectives[0], asked, runs, seed, settings or SolverSettings(), block, threads, 0, None)
+    cells = [np.array([a, b]) for a in np.linspace(0, 1, points) for b in np.linspace(0, 1, points)]
+    made = []
+    for number, v in enumerate(cells):
+        made.append(batch.evaluate(v))
+        if progress is not None:
+            progress(number + 1, len(cells))
+    count, shape = len(objectives), (points, points)
+    values = np.array([[1.0 + each.excess[i] for each in made] for i in range(count)]).reshape(count, *shape)
+    kept = np.array([all(excess <= 1e-6 for excess in each.excess[count:]) for each in made]).reshape(shape)
+    first = np.array([box.gains(np.array([a, 0.0]))[names[0]] for a in np.linspace(0, 1, points)])
+    second = np.array([box.gains(np.array([0.0, b]))[names[1]] for b in np.linspace(0, 1, points)])
+    return Landscape((names[0], names[1]), (first, second), objectives, constraints, values, kept)

@@ -1,0 +1,126 @@
+"""Pictures of a search for gains: its course, its sensitivities, its landscape, and the loop before and after."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure
+
+if TYPE_CHECKING:
+    from qsmc_jax.tuning.batch import Evaluation
+    from qsmc_jax.tuning.landscape import Landscape
+    from qsmc_jax.tuning.result import Tuning
+
+
+def plot_tuning(result: "Tuning") -> Any:
+    """Objective, constraints and gains along the search, and the sensitivities at its end.
+
+    Returns:
+        A matplotlib `Figure`; save it with `.savefig(path)`.
+    """
+    figure, axes = new_figure(2, 2, (12.0, 8.0))
+    spent = np.array([each.spent for each in result.history])
+    is_kept = np.array([each.is_feasible for each in result.history])
+    _draw_objective(axes[0, 0], result, spent, is_kept)
+    _draw_constraints(axes[0, 1], result, spent)
+    for name, colour in zip(result.parameters, _cycle(len(result.parameters)), strict=True):
+        values = np.array([each.gains[name] for each in result.history]) / result.before.gains[name]
+        label = f"{name}: {result.before.gains[name]:.4g} -> {result.gains[name]:.4g}"
+        axes[1, 0].plot(spent, values, ".-", color=colour, lw=0.8, label=label)
+    axes[1, 0].axhline(1.0, color=GREY, lw=0.8)
+    axes[1, 0].set(ylabel="gain over the study's own [-]", yscale="log")
+    axes[1, 0].legend(fontsize=8)
+    for ax in (axes[0, 0], axes[0, 1], axes[1, 0]):
+        ax.set(xlabel="simulations spent [-] (a gradient: 1 + gains)", xscale="log")
+    _draw_sensitivity(axes[1, 1], result)
+    figure.suptitle(result.conclusion(), fontsize=9, wrap=True)
+    return figure
+
+
+def _draw_objective(ax: Any, result: "Tuning", spent: np.ndarray, is_kept: np.ndarray) -> None:
+    values = np.array([each.objective for each in result.history])
+    ax.plot(spent[is_kept], values[is_kept], "o", color=BLUE, ms=4, label="constraints kept")
+    ax.plot(spent[~is_kept], values[~is_kept], "x", color=RED, ms=5, label="a constraint passed")
+    best = np.minimum.accumulate(np.where(is_kept, values, np.inf))
+    ax.step(spent, np.where(np.isfinite(best), best, np.nan), where="post", color=GREEN, label="best so far")
+    ax.axhline(result.before.objective, color=GREY, lw=0.8, label="the study's own gains")
+    if result.certificate is not None:
+        ax.axhline(result.certificate.objective, color=ORANGE, ls="--", label="tuned gains on fresh runs")
+    ax.set(ylabel=str(result.objective), yscale="log" if (values[np.isfinite(values)] > 0.0).all() else "linear")
+    ax.legend(fontsize=8)
+
+
+def _draw_constraints(ax: Any, result: "Tuning", spent: np.ndarray) -> None:
+    for i, constraint in enumerate(result.constraints):
+        excess = 100.0 * np.array([each.excess[i] for each in result.history])
+        ax.plot(spent, excess, ".-", color=SERIES[i % len(SERIES)], lw=0.8, label=str(constraint))
+    ax.axhspan(0.0, max(ax.get_ylim()[1], 1.0), color=RED, alpha=0.08, label="passed")
+    ax.set_yscale("symlog", linthresh=10.0)
+    ax.set(ylabel="excess over the bound [%] (linear within 10)")
+    ax.legend(fontsize=8)
+
+
+def _draw_sensitivity(ax: Any, result: "Tuning") -> None:
+    """Grouped bars with their signs: what one percent more of each gain does."""
+    judged = [str(result.objective), *(str(constraint.objective) for constraint in result.constraints)]
+    width, place = 0.8 / len(result.parameters), np.arange(len(judged))
+    for j, (name, colour) in enumerate(zip(result.parameters, _cycle(len(result.parameters)), strict=True)):
+        bars = ax.barh(place + (j + 0.5) * width - 0.4, result.sensitivity[:, j], width, color=colour, label=name)
+        ax.bar_label(bars, fmt="%+.2g", fontsize=8, padding=2)
+    ax.axvline(0.0, color=GREY, lw=0.8)
+    ax.set_yticks(place, judged, fontsize=8)
+    ax.invert_yaxis()
+    ax.margins(x=0.2)
+    ax.set(xlabel="change per change of the gain at the tuned gains [%/%]")
+    ax.legend(fontsize=8)
+
+
+def plot_contour(made: "Landscape", path: Sequence["Evaluation"]) -> Any:
+    """Contours of the objective over two gains, where constraints are kept, and the path of a search."""
+    figure, axes = new_figure(1, 1, (8.5, 6.5))
+    ax, (x, y) = axes[0, 0], made.grids
+    values = made.values[0].T
+    filled = ax.contourf(x, y, values, levels=24, cmap="viridis")
+    figure.colorbar(filled, ax=ax, label=str(made.objectives[0]))
+    ax.contourf(x, y, made.is_feasible.T.astype(float), levels=[-0.5, 0.5], colors="white", alpha=0.45, hatches=["//"])
+    ax.plot([], [], "s", color="lightgrey", label="a constraint passed (hatched)")
+    walks = [each for each in path if each.start >= 0]
+    if walks:
+        points = np.array([[each.gains[name] for name in made.names] for each in walks])
+        ax.plot(*points.T, ".-", color=ORANGE, lw=1.0, label="path of the search")
+        best = min(path, key=lambda each: each.merit)
+        ax.plot(*[best.gains[name] for name in made.names], "*", color=RED, ms=15, label="best")
+        first = path[0]
+        ax.plot(*[first.gains[name] for name in made.names], "D", color="white", mec="black", label="start")
+    for axis, grid in (("x", x), ("y", y)):
+        if grid[0] > 0.0 and grid[-1] > 10.0 * grid[0]:
+            ax.set(**{f"{axis}scale": "log"})
+    ax.set(xlabel=made.names[0], ylabel=made.names[1])
+    ax.set_title("; ".join(map(str, made.constraints)) or "no constraints", fontsize=9)
+    ax.legend(fontsize=8, loc="upper left")
+    return figure
+
+
+def plot_pareto(made: "Landscape", marked: Sequence[tuple[str, float, float]]) -> Any:
+    """The second objective against the first over the grid: passed, dominated and efficient cells."""
+    figure, axes = new_figure(1, 1, (8.5, 6.0))
+    ax, points = axes[0, 0], made.values[:2].reshape(2, -1)
+    kept, efficient = made.is_feasible.reshape(-1), made.is_efficient.reshape(-1)
+    ax.plot(*points[:, ~kept], "x", color=RED, ms=4, alpha=0.5, label="a constraint passed")
+    ax.plot(*points[:, kept & ~efficient], "o", color=GREY, ms=4, alpha=0.5, label="dominated")
+    front = points[:, efficient]
+    front = front[:, np.argsort(front[0])]
+    ax.step(*front, "o-", where="post", color=BLUE, label="efficient: no cell is better in both")
+    for (label, a, b), colour, mark in zip(marked, (ORANGE, GREEN), ("D", "*"), strict=False):
+        ax.plot(a, b, mark, color=colour, ms=12, mec="black", label=label)
+    for axis, values in (("x", points[0]), ("y", points[1])):
+        if np.nanmin(values) > 0.0 and np.nanmax(values) > 10.0 * np.nanmin(values):
+            ax.set(**{f"{axis}scale": "log"})
+    ax.set(xlabel=str(made.objectives[0]), ylabel=str(made.objectives[1]))
+    ax.legend(fontsize=8)
+    return figure
+
+
+def _cycle(count: int) -> tuple[str, ...]:
+    return tuple(SERIES[i % len(SERIES)] for i in range(count))

@@ -1,0 +1,230 @@
+"""Tuning: gains by gradients through the simulation, and a certificate from runs that had no say in them."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.stats import qmc
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.monte_carlo import BLOCK, Progress
+from qsmc_jax.study.study import Study
+from qsmc_jax.tuning.batch import Batch, Evaluation
+from qsmc_jax.tuning.box import box_of
+from qsmc_jax.tuning.certificate import Certificate, certify, confidence_of
+from qsmc_jax.tuning.descent import Method, Slope, descend
+from qsmc_jax.tuning.objectives import Constraint, Objective, parse_constraint, parse_objective
+from qsmc_jax.tuning.result import Tuning
+from qsmc_jax.tuning.trust import check_start, refuse_jumps
+
+# Widths of the smooth maximum, one descent after the other from where the last one ended, in standard deviations.
+_ANNEALED = (0.2, 0.0)
+
+
+def tune(
+    study: Study,
+    parameters: Sequence[str],
+    objective: str | Objective,
+    subject_to: Sequence[str | Constraint] = (),
+    *,
+    runs: int = 256,
+    seed: int = 0,
+    method: Method = "slsqp",
+    steps: int = 50,
+    tolerance: float = 1e-5,
+    starts: int = 4,
+    descents: int = 1,
+    certificate_runs: int = 10_000,
+    risk: float = 1e-2,
+    confidence: float = 0.95,
+    designs: int = 3,
+    settings: SolverSettings | None = None,
+    block: int = BLOCK,
+    threads: int | None = None,
+    tell: Callable[[Evaluation], None] | None = None,
+    progress: Progress | None = None,
+) -> Tuning:
+    """Chooses parameters of a study by gradients through the simulation, and certifies the choice on fresh runs.
+
+    Each evaluation solves the same training runs (common random numbers). Starts are tried together, the best are
+    descended from, and the best feasible point met on the way of each descent becomes a candidate. Fresh runs, of a
+    seed that training never saw, certify the candidates; if all fail, everything is done again with new training runs
+    and constraints a tenth tighter, and with less of the risk that all designs share.
+
+    Tune a loop as it is implemented: on the ideal one a narrower funnel costs nothing, and rho_inf runs to its bound.
+    Figures of the steady phase start at t_r, which moves with the gains: bound `reach_time` if you use them.
+
+    Args:
+        study: The study.
+        parameters: Names drawn by `draw.parameter`, each one number with finite bounds.
+        objective: What to make small, such as `"cvar(peak_error[0], 0.9) + 0.01 * mean(energy_u)"`.
+        subject_to: What to keep, such as `["worst(peak_u) <= 20", "violation <= 0.01"]`.
+        runs: Training runs of each evaluation, at least 2.
+        seed: Seed of the training runs; design j uses seed + 2 j to train and seed + 2 j + 1 to certify.
+        method: "slsqp" (constraints as they are); "adam" or any optax transformation, "bfgs" or any optimistix
+            minimiser (constraints as penalties).
+        steps: Steps of a descent at most.
+        tolerance: Relative change of the objective below which a descent stops.
+        starts: Starting points: the study's own, and others spread over the bounds.
+        descents: From how many of them to descend; each gives a candidate.
+        certificate_runs: Fresh runs of each candidate; 0 for no certificate.
+        risk: Probability of failure that each certified statement may have, strictly between 0 and 1.
+        confidence: That every statement of all certificates holds, strictly between 0 and 1.
+        designs: Designs at most.
+        settings: Method, tolerances and, by `adjoint`, the mode of differentiation; None for forward mode up to four
+            parameters, else reverse mode.
+        block: Runs solved together at most, a multiple of 64.
+        threads: Blocks solved at the same time; None for one a core.
+        tell: Called with each evaluation.
+        progress: Called as `progress(done, all)` while certifying.
+
+    Returns:
+        The gains, the history and the certificate; `print` it.
+
+    Raises:
+        ValueError: An argument is out of range, the gradient can't be trusted, the objective is not known at the
+            start, or no point that keeps the constraints was found (the message says which fails, and by how much).
+    """
+    names = tuple(parameters)
+    objective, constraints = parse_objective(objective), tuple(map(parse_constraint, subject_to))
+    require(runs >= 2, f"Argument `runs` must be at least 2, but is {runs}.")
+    require(1 <= descents <= starts, f"Argument `descents` must lie in [1, starts], but is {descents}.")
+    require(designs >= 1 and steps >= 1, f"Arguments `designs` and `steps` must be at least 1: {designs}, {steps}.")
+    require(0.0 < risk < 1.0, f"Argument `risk` must lie strictly between 0 and 1, but is {risk}.")
+    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
+    box = box_of(study, names)
+    refuse_jumps(study)
+    settings = settings or SolverSettings(adjoint="forward" if len(names) <= 4 else "reverse")
+    batch = Batch(study, box, objective, constraints, runs, seed, settings, block, threads, 0, tell)
+    _check_metrics(batch)
+    before = check_start(batch, box.point(study))
+    batch.allowed = before.unknown
+    certificates: list[Certificate] = []
+    fresh = {"runs": certificate_runs, "risk": risk, "settings": settings, "block": block, "threads": threads}
+    best, chosen = before, None
+    for attempt in range(designs):
+        if attempt:
+            tighter = tuple(_tightened(constraint, 0.9**attempt) for constraint in constraints)
+            batch = dataclasses.replace(
+                batch, seed=seed + 2 * attempt, attempt=attempt, constraints=tighter, history=list(batch.history)
+            )
+        candidates = _candidates(batch, method, steps, tolerance, starts, descents)
+        best = candidates[0]
+        if not certificate_runs:
+            break
+        pairs = [(each.gains, each.objective) for each in candidates]
+        made = certify(
+            study,
+            pairs,
+            objective,
+            constraints,
+            seed=seed + 2 * attempt + 1,
+            confidence=confidence_of(attempt, confidence),
+            progress=progress,
+            **fresh,
+        )
+        certificates += made
+        granted = [number for number, each in enumerate(made) if each.is_granted]
+        number = granted[0] if granted else 0
+        best, chosen = candidates[number], made[number]
+        if granted:
+            break
+    sensitivity = _sensitivity(batch, best, constraints)
+    history = tuple(batch.history)
+    everything = (tuple(certificates), chosen, sensitivity)
+    return Tuning(study, names, objective, constraints, runs, seed, confidence, before, best, history, *everything)
+
+
+def _candidates(
+    batch: Batch, method: Method, steps: int, tolerance: float, starts: int, descents: int
+) -> list[Evaluation]:
+    """The best feasible point of each descent, the best first."""
+    points = _starts(batch, starts)
+    tried = [batch.evaluate(v) for v in points]
+    order = sorted(range(starts), key=lambda i: tried[i].merit)[:descents]
+    widths = _ANNEALED if _has_maximum(batch) else _ANNEALED[-1:]
+    found = []
+    for number in order:
+        v, first = points[number], len(batch.history)
+        met = [tried[number]]
+        for width in widths:
+            scale = abs(met[0].objective) if np.isfinite(met[0].objective) and met[0].objective else 1.0
+            descend(Slope(batch, width, number, scale), v, method, steps, tolerance)
+            met = [tried[number], *batch.history[first:]]
+            v = batch.box.place(min(met, key=lambda each: each.merit).gains)
+        found.append(min(met, key=lambda each: each.merit))
+    found.sort(key=lambda each: each.merit)
+    feasible = [each for each in found if each.is_feasible]
+    if not feasible:
+        raise ValueError(_infeasible(batch, found[0]))
+    return feasible
+
+
+def _starts(batch: Batch, count: int) -> list[np.ndarray]:
+    """The study's own point, and Sobol points of the unit cube's inner part."""
+    spread = qmc.Sobol(len(batch.box.names), rng=np.random.default_rng(batch.seed)).random_base2(
+        max(count - 2, 0).bit_length()
+    )
+    return [batch.box.point(batch.study), *(0.05 + 0.9 * spread)][:count]
+
+
+def _has_maximum(batch: Batch) -> bool:
+    parts = [batch.objective, *(constraint.objective for constraint in batch.constraints)]
+    return any(term.statistic in ("worst", "least") for part in parts for term in part.terms)
+
+
+def _tightened(constraint: Constraint, factor: float) -> Constraint:
+    """The bound moved inside by a part of itself."""
+    inside = constraint.side * (1.0 - factor) * (abs(constraint.bound) or 1.0)
+    return dataclasses.replace(constraint, bound=constraint.bound - inside)
+
+
+def _infeasible(batch: Batch, nearest: Evaluation) -> str:
+    """Which constraints fail at the point that lacks least, and by how much."""
+    gains = ", ".join(f"{name} = {value:.4g}" for name, value in nearest.gains.items())
+    lacks = [
+        f"`{constraint}` by {100 * excess:.3g} % of its bound"
+        for constraint, excess in zip(batch.constraints, nearest.excess, strict=True)
+        if not excess <= 1e-6
+    ]
+    if nearest.unknown > nearest.allowed:
+        lacks.append(
+            f"to have figures in all but {100 * nearest.allowed:.3g} % of the runs ({100 * nearest.unknown:.3g} %)"
+        )
+    reason = f"fails {' and '.join(lacks)}" if lacks else "has an objective that is not known"
+    return (
+        f"No gains within the bounds were found that keep the constraints: the nearest, {gains}, {reason}. Loosen it, "
+        "widen the bounds, or allow more `starts`."
+    )
+
+
+def _check_metrics(batch: Batch) -> None:
+    """Raises if the study has no column of that name."""
+    order, is_sampled = batch.study.nominal.loop.order, batch.study.nominal.loop.implementation is not None
+    known = {f"peak_error[{i}]" for i in range(order)}
+    sampled = {"recovery_time", "peak_excess", "excess_variation_u", "high_frequency_ratio", "peak_rate_u"}
+    for metric in batch.metrics:
+        require(
+            not metric.startswith("peak_error") or metric in known,
+            f"Argument `objective` names `{metric}`, but this plant has {', '.join(sorted(known))}.",
+        )
+        require(
+            is_sampled or metric not in sampled,
+            f"Argument `objective` names `{metric}`, which only a loop with an `implementation` has.",
+        )
+
+
+def _sensitivity(batch: Batch, best: Evaluation, constraints: tuple[Constraint, ...]) -> np.ndarray:
+    """Relative derivatives of objective and constrained figures at the best gains, by relative change of each gain."""
+    there = dataclasses.replace(batch, constraints=constraints, tell=None, history=[])
+    v = batch.box.place(best.gains)
+    made, values, slopes = there.differentiate(v, 0.0, best.start)
+    batch.spent = there.spent
+    bounds = np.array([constraint.bound for constraint in constraints])
+    sides = np.array([constraint.side for constraint in constraints])
+    scales = np.abs(np.where(bounds == 0.0, 1.0, bounds)) if len(bounds) else np.empty(0)
+    figures = np.array([values[0], *(bounds + sides * scales * values[1:])])
+    by_gain = slopes / batch.box.slopes(v) * np.array([1.0, *(sides * scales)])[:, None]
+    x = np.array([made.gains[name] for name in batch.box.names])
+    return by_gain * x / np.where(figures == 0.0, 1.0, figures)[:, None]
