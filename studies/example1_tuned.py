@@ -7,7 +7,7 @@ Time: half a minute on two cores for the search and its pictures:
 
     qsmc tune studies/example1_tuned.py --for mu,rho_inf --objective "mean(total_variation_u)" \
         --subject-to "worst(reach_time) <= 1.5" --subject-to "worst(peak_u) <= 5" \
-        --subject-to "worst(peak_ratio) <= 0.9" --against "cvar(peak_error[0], 0.9)" --out results/tuned1
+        --subject-to "worst(peak_ratio) <= 0.9" --against "mean(rms_error)" --out results/tuned1
     qsmc verify studies/example1_tuned.py -S @results/tuned1 --seed 12345
 """
 

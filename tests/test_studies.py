@@ -22,6 +22,8 @@ LONG = {
     "example1_uncertain": qj.Verdict.HELD,
     "example2_uncertain": qj.Verdict.HELD,
     "example2_implemented": qj.Verdict.HELD,
+    "example1_tuned": qj.Verdict.HELD,
+    "example2_tuned": qj.Verdict.HELD,
 }
 COMPARED = {"controllers_compared"}
 

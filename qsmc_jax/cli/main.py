@@ -1,4 +1,4 @@
-"""The commands `qsmc verify`, `qsmc simulate` and `qsmc paper`; `map`, `critical`, `compare` and `tune` stand beside it.
+"""The commands `qsmc verify`, `qsmc simulate` and `qsmc paper`; `map`, `critical`, `compare`, `tune` stand beside it.
 
 Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.
 """

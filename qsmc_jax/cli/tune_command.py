@@ -133,6 +133,7 @@ def _draw(add: Callable[[str, Any], None], result: "Tuning", against: str | None
             points=points,
             runs=runs,
             seed=result.seed,
+            mark={"before": result.before.gains, "tuned": result.gains},
         )
         add("landscape.png", made.plot(result.history))
         if against is not None:

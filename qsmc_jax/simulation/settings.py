@@ -24,7 +24,8 @@ class SolverSettings(AbstractModule):
     """Settings of a solve. Tolerances are data (another value does not recompile), the rest is static.
 
     A loop with an implementation is always solved by one explicit method of order 3, between samples: of the settings
-    it takes `rtol` (of the sliding variable, relative to the funnel and itself), `max_steps` and `vectorise`.
+    it takes `rtol` (of the sliding variable, relative to the funnel and itself), `max_steps`, `adjoint` and
+    `vectorise`.
 
     Attributes:
         rtol: Relative tolerance [-] of each integrated coordinate, in (0, 1).

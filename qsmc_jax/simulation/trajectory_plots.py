@@ -33,6 +33,10 @@ def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None) 
     axes[0, 0].set(title="Output and reference", xlabel="t [s]", ylabel="y")
     axes[0, 0].legend(loc="best", fontsize=8)
     axes[1, 0].set(title="Input", xlabel="t [s]", ylabel="u")
+    for run, colour in zip(runs[1:], _colours(len(runs))[1:], strict=True):
+        if not np.array_equal(run.rho, first.rho):
+            for sign in (-1.0, 1.0):
+                axes[1, 1].plot(run.ts, sign * run.rho, "--", color=colour, lw=1.0)
     _funnel(axes[1, 1], first)
     return figure
 

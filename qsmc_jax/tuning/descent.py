@@ -102,14 +102,16 @@ def _by_slsqp(slope: Slope, v0: np.ndarray, steps: int, tolerance: float) -> Non
 def _by_optax(slope: Slope, v0: np.ndarray, method: optax.GradientTransformation, steps: int, tolerance: float) -> None:
     """In the coordinate logit v, which keeps the bounds; stops when the best of 20 steps is no better than before."""
     y = special.logit(np.clip(v0, _INSIDE, 1.0 - _INSIDE))
-    state, values = method.init(jnp.asarray(y)), []
-    for _ in range(steps):
-        value, gradient = _in_logit(slope, y)
-        values.append(value)
-        if len(values) > 40 and min(values[-20:]) > min(values[:-20]) - tolerance:
-            return
-        update, state = method.update(jnp.asarray(gradient), state, jnp.asarray(y))
-        y = np.asarray(optax.apply_updates(jnp.asarray(y), update))
+    values: list[float] = []
+    with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
+        state = method.init(jnp.asarray(y))
+        for _ in range(steps):
+            value, gradient = _in_logit(slope, y)
+            values.append(float(value))
+            if len(values) > 40 and min(values[-20:]) > min(values[:-20]) - tolerance:
+                return
+            update, state = method.update(jnp.asarray(gradient), state, jnp.asarray(y))
+            y = np.asarray(optax.apply_updates(jnp.asarray(y), update))
 
 
 def _by_optimistix(slope: Slope, v0: np.ndarray, method: optx.AbstractMinimiser, steps: int) -> None:

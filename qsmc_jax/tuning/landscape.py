@@ -1,7 +1,7 @@
 """Objective and constraints over a grid of two gains, on the same training runs: where the search went, and why."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.study.study import Study
-from qsmc_jax.tuning.batch import Batch, Evaluation
+from qsmc_jax.tuning.batch import KEPT, Batch, Evaluation
 from qsmc_jax.tuning.box import box_of
 from qsmc_jax.tuning.objectives import Constraint, Objective, parse_constraint, parse_objective
 from qsmc_jax.tuning.result_plots import plot_contour, plot_pareto
@@ -27,7 +27,8 @@ class Landscape:
         objectives: What was evaluated; the first is the objective.
         constraints: The constraints.
         values: Each objective, (objectives, first, second).
-        is_feasible: Where every constraint is kept, (first, second).
+        is_feasible: Where every constraint is kept and every run's figures are known, (first, second).
+        marked: Each objective at the gains that were marked, by label.
     """
 
     names: tuple[str, str]
@@ -36,6 +37,7 @@ class Landscape:
     constraints: tuple[Constraint, ...]
     values: Float[np.ndarray, "objectives first second"]
     is_feasible: np.ndarray
+    marked: Mapping[str, Float[np.ndarray, " objectives"]]
 
     @property
     def is_efficient(self) -> np.ndarray:
@@ -51,10 +53,10 @@ class Landscape:
         """Contours of the objective, where the constraints are kept, and the path of a search (`Tuning.history`)."""
         return plot_contour(self, path)
 
-    def plot_pareto(self, marked: Sequence[tuple[str, float, float]] = ()) -> Any:
-        """The second objective against the first, efficient cells joined; and marked points, (label, first, second)."""
+    def plot_pareto(self) -> Any:
+        """The second objective against the first, efficient cells joined, and the marked gains."""
         require(len(self.objectives) > 1, "A Pareto front needs two objectives: give `against`.")
-        return plot_pareto(self, marked)
+        return plot_pareto(self)
 
 
 def landscape(
@@ -67,6 +69,7 @@ def landscape(
     points: int = 12,
     runs: int = 128,
     seed: int = 0,
+    mark: Mapping[str, Mapping[str, float]] | None = None,
     settings: SolverSettings | None = None,
     block: int = BLOCK,
     threads: int | None = None,
@@ -83,6 +86,7 @@ def landscape(
         points: Values of each parameter, spread evenly over its bounds (in the logarithm if they are far apart).
         runs: Runs of each cell.
         seed: Their seed.
+        mark: Gains to be marked in the Pareto front, by label.
         settings: Method and tolerances.
         block: Runs solved together at most.
         threads: Blocks solved at the same time.
@@ -107,7 +111,11 @@ def landscape(
             progress(number + 1, len(cells))
     count, shape = len(objectives), (points, points)
     values = np.array([[1.0 + each.excess[i] for each in made] for i in range(count)]).reshape(count, *shape)
-    kept = np.array([all(excess <= 1e-6 for excess in each.excess[count:]) for each in made]).reshape(shape)
+    kept = [all(excess <= KEPT for excess in each.excess[count:]) and each.unknown == 0.0 for each in made]
     first = np.array([box.gains(np.array([a, 0.0]))[names[0]] for a in np.linspace(0, 1, points)])
     second = np.array([box.gains(np.array([0.0, b]))[names[1]] for b in np.linspace(0, 1, points)])
-    return Landscape((names[0], names[1]), (first, second), objectives, constraints, values, kept)
+    is_feasible = np.array(kept).reshape(shape)
+    marked = {}
+    for label, gains in (mark or {}).items():
+        marked[label] = 1.0 + np.array(batch.evaluate(box.place(gains)).excess[:count])
+    return Landscape((names[0], names[1]), (first, second), objectives, constraints, values, is_feasible, marked)

@@ -51,7 +51,7 @@ class Term:
     def __post_init__(self):
         is_known = self.metric in METRICS or self.metric.startswith("peak_error[")
         require(is_known, f"Argument `metric` must be peak_error[i] or one of {', '.join(METRICS)}; not {self.metric}.")
-        require(0.0 <= self.level < 1.0, f"Argument `level` must lie in [0, 1), but is {self.level}.")
+        require(bool(0.0 <= self.level < 1.0), f"Argument `level` must lie in [0, 1), but is {self.level}.")
         require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
 
     def evaluate(self, values: Float[np.ndarray, " runs"], smoothing: float) -> tuple[float, np.ndarray]:
@@ -64,8 +64,8 @@ class Term:
         return self.weight * value, self.weight * weights
 
     def __str__(self) -> str:
-        level = f", {self.level:g}" if self.statistic == "cvar" else ""
-        weight = "" if self.weight == 1.0 else f"{self.weight:g} * "
+        level = f", {self.level:.12g}" if self.statistic == "cvar" else ""
+        weight = "" if self.weight == 1.0 else f"{self.weight:.12g} * "
         return f"{weight}{self.statistic}({self.metric}{level})"
 
 
@@ -107,15 +107,15 @@ class Objective:
     def __sub__(self, other: "Objective") -> "Objective":
         return self + (-1.0) * other
 
-    def __mul__(self, factor: float) -> "Objective":
+    def __mul__(self, factor: float | int) -> "Objective":
         return Objective(tuple(dataclasses.replace(t, weight=t.weight * float(factor)) for t in self.terms))
 
     __rmul__ = __mul__
 
-    def __le__(self, bound: float) -> "Constraint":
+    def __le__(self, bound: float | int) -> "Constraint":
         return Constraint(self, float(bound), 1)
 
-    def __ge__(self, bound: float) -> "Constraint":
+    def __ge__(self, bound: float | int) -> "Constraint":
         return Constraint(self, float(bound), -1)
 
     def __str__(self) -> str:
@@ -136,6 +136,9 @@ class Constraint:
     bound: float
     side: int
 
+    def __post_init__(self):
+        require(bool(np.isfinite(self.bound)), f"The bound of a constraint must be finite, but is {self.bound}.")
+
     def excess(self, columns: Mapping[str, np.ndarray], smoothing: float = 0.0) -> tuple[float, dict[str, np.ndarray]]:
         """How far it is passed, in units of the bound (of 1 for a bound of 0), and the derivative; fine if <= 0."""
         value, weights = self.objective.evaluate(columns, smoothing)
@@ -144,12 +147,14 @@ class Constraint:
 
     @property
     def per_run(self) -> str | None:
-        """The column that it bounds in (nearly) every run, None if it is about a mean or a sum."""
-        only = self.objective.terms[0] if len(self.objective.terms) == 1 else None
-        return only.metric if only is not None and only.statistic != "mean" and only.weight == 1.0 else None
+        """The column that it bounds in all runs or most, None if it is about a mean, a sum or a few."""
+        only = self.objective.terms[0]
+        is_tail = only.statistic == "worst" or (only.statistic == "cvar" and only.level >= 0.5)
+        is_bound = (self.side > 0 and is_tail) or (self.side < 0 and only.statistic == "least")
+        return only.metric if len(self.objective.terms) == 1 and only.weight == 1.0 and is_bound else None
 
     def __str__(self) -> str:
-        return f"{self.objective} {'<=' if self.side > 0 else '>='} {self.bound:g}"
+        return f"{self.objective} {'<=' if self.side > 0 else '>='} {self.bound:.12g}"
 
 
 def mean(metric: str) -> Objective:
@@ -175,10 +180,11 @@ def least(metric: str) -> Objective:
     return Objective((Term("least", metric),))
 
 
-def violation(probability: float) -> Constraint:
+def violation(probability: float | int) -> Constraint:
     r"""A constraint that implies a probability of at most `probability` of leaving the funnel, over the training runs.
 
-    $\mathrm{CVaR}_{1-p}(\sup|\sigma|/\rho) \le 1$ implies $P(\sup|\sigma|/\rho > 1) \le p$, and has a derivative.
+    Over the runs whose figures are known, $\mathrm{CVaR}_{1-p}(\sup|\sigma|/\rho) \le 1$ implies
+    $P(\sup|\sigma|/\rho > 1) \le p$, and has a derivative.
     """
     return cvar("peak_ratio", 1.0 - probability) <= 1.0
 
@@ -211,7 +217,7 @@ _FUNCTIONS: dict[str, Any] = {"mean": mean, "cvar": cvar, "worst": worst, "least
 def _made(text: str, argument: str) -> Any:
     try:
         return _read(ast.parse(text.strip(), mode="eval").body)
-    except (SyntaxError, TypeError, KeyError, AttributeError):
+    except (SyntaxError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         raise ValueError(
             f"Argument `{argument}` must be made of mean(m), cvar(m, level), worst(m) and least(m), such as "
             f"cvar(peak_error[0], 0.9) + 0.01 * mean(energy_u) or worst(peak_u) <= 20, but is `{text}`."
@@ -261,8 +267,12 @@ def _worst(values: np.ndarray, level: float, smoothing: float) -> tuple[float, n
     top = float(values.max())
     if width == 0.0:
         return top, np.eye(len(values))[int(values.argmax())]
-    weights = np.exp((values - top) / width)
-    return top + width * float(np.log(weights.sum())), weights / weights.sum()
+    powers = np.exp((values - top) / width)
+    weights, logarithm = powers / powers.sum(), float(np.log(powers.sum()))
+    # The width is made of the values too.
+    by_width = logarithm - float(weights @ (values - top)) / width
+    width_by_values = smoothing * (values - values.mean()) / (len(values) * values.std())
+    return top + width * logarithm, weights + by_width * width_by_values
 
 
 def _least(values: np.ndarray, level: float, smoothing: float) -> tuple[float, np.ndarray]:

@@ -32,7 +32,7 @@ def plot_tuning(result: "Tuning") -> Any:
     axes[1, 0].set(ylabel="gain over the study's own [-]", yscale="log")
     axes[1, 0].legend(fontsize=8)
     for ax in (axes[0, 0], axes[0, 1], axes[1, 0]):
-        ax.set(xlabel="simulations spent [-] (a gradient: 1 + gains)", xscale="log")
+        ax.set(xlabel="simulations spent [-] (a gradient: 1 + gains)")
     _draw_sensitivity(axes[1, 1], result)
     figure.suptitle(result.conclusion(), fontsize=9, wrap=True)
     return figure
@@ -81,8 +81,12 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"]) -> Any:
     figure, axes = new_figure(1, 1, (8.5, 6.5))
     ax, (x, y) = axes[0, 0], made.grids
     values = made.values[0].T
-    filled = ax.contourf(x, y, values, levels=24, cmap="viridis")
-    figure.colorbar(filled, ax=ax, label=str(made.objectives[0]))
+    finite = values[np.isfinite(values)]
+    is_wide = finite.min() > 0.0 and finite.max() > 10.0 * finite.min()
+    levels = np.geomspace(finite.min(), finite.max(), 25) if is_wide else np.linspace(finite.min(), finite.max(), 25)
+    norm = "log" if is_wide else "linear"
+    filled = ax.contourf(x, y, np.ma.masked_invalid(values), levels=levels, norm=norm, cmap="viridis")
+    figure.colorbar(filled, ax=ax, label=str(made.objectives[0]), format="%.3g")
     ax.contourf(x, y, made.is_feasible.T.astype(float), levels=[-0.5, 0.5], colors="white", alpha=0.45, hatches=["//"])
     ax.plot([], [], "s", color="lightgrey", label="a constraint passed (hatched)")
     walks = [each for each in path if each.start >= 0]
@@ -102,7 +106,7 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"]) -> Any:
     return figure
 
 
-def plot_pareto(made: "Landscape", marked: Sequence[tuple[str, float, float]]) -> Any:
+def plot_pareto(made: "Landscape") -> Any:
     """The second objective against the first over the grid: passed, dominated and efficient cells."""
     figure, axes = new_figure(1, 1, (8.5, 6.0))
     ax, points = axes[0, 0], made.values[:2].reshape(2, -1)
@@ -112,8 +116,8 @@ def plot_pareto(made: "Landscape", marked: Sequence[tuple[str, float, float]]) -
     front = points[:, efficient]
     front = front[:, np.argsort(front[0])]
     ax.step(*front, "o-", where="post", color=BLUE, label="efficient: no cell is better in both")
-    for (label, a, b), colour, mark in zip(marked, (ORANGE, GREEN), ("D", "*"), strict=False):
-        ax.plot(a, b, mark, color=colour, ms=12, mec="black", label=label)
+    for (label, point), colour, mark in zip(made.marked.items(), (ORANGE, GREEN), ("D", "*"), strict=False):
+        ax.plot(*point[:2], mark, color=colour, ms=12, mec="black", label=label)
     for axis, values in (("x", points[0]), ("y", points[1])):
         if np.nanmin(values) > 0.0 and np.nanmax(values) > 10.0 * np.nanmin(values):
             ax.set(**{f"{axis}scale": "log"})

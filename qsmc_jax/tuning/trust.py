@@ -10,7 +10,7 @@ from qsmc_jax.tuning.batch import Batch, Evaluation
 
 # Steps of the difference, in the unit cube, and how far gradient and difference may lie apart: a sampled loop is only
 # piecewise smooth, and its mean over some hundred runs nearly.
-_STEPS, _APART = (1e-3, 1e-2), 0.25
+_STEPS, _APART, _ROUNDING = (1e-3, 1e-2), 0.25, 1e-4
 
 
 def refuse_jumps(study: Study) -> None:
@@ -45,20 +45,19 @@ def check_start(batch: Batch, v: Float[np.ndarray, " names"]) -> Evaluation:
     require(
         bool(np.isfinite(values).all()),
         f"The objective at the start must be finite, but is {made.objective:g} (constraints {made.excess}); a figure "
-        f"is not known in {100 * made.unknown:.3g} % of the runs. Start elsewhere (`study.substitute`), or choose figures "
-        "that are known: those of the steady phase need a horizon beyond the reaching time.",
+        f"is not known in {100 * made.unknown:.3g} % of the runs. Start elsewhere (`study.substitute`), or choose "
+        "figures that are known: those of the steady phase need a horizon beyond the reaching time.",
     )
     size = float(np.linalg.norm(slopes[0]))
-    if size == 0.0:
-        return made
-    direction, found = slopes[0] / size, []
+    direction = slopes[0] / size if size > 0.0 else np.full(len(v), len(v) ** -0.5)
+    rounding, found = _ROUNDING * abs(made.objective), []
     for step in _STEPS:
         ahead, behind = (np.clip(v + sign * step * direction, 0.0, 1.0) for sign in (1.0, -1.0))
         length = float((ahead - behind) @ direction)
         along = (batch.evaluate(ahead).objective - batch.evaluate(behind).objective) / length
         slope = float(slopes[0] @ (ahead - behind)) / length
         found.append(along)
-        if abs(along - slope) <= _APART * max(abs(along), abs(slope)):
+        if abs(along - slope) <= _APART * max(abs(along), abs(slope)) + rounding:
             return made
     raise ValueError(
         f"The gradient of this study can't be trusted: along itself it is {size:.4g}, but central differences give "
