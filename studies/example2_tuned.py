@@ -1,8 +1,8 @@
 """Example 2, of order 4, sampled at 1 kHz with noise on the last state: which mu and rho_inf wear the actuator least?
 
-Question: how much quieter may the input be, if the bandwidth is still reached in 1.6 s and the funnel kept with a margin?
-Claim: with mu about 2.4 and rho_inf near its upper bound the total variation of the input is some 23 % below that of the paper's gains, and
-    on fresh runs each constraint fails with a probability of at most 1 % (95 % confidence).
+Question: how much quieter may the input be, if the bandwidth is reached in 1.6 s and the funnel kept with a margin?
+Claim: with mu about 2.4 and rho_inf near its upper bound the total variation of the input is some 23 % below that of
+    the paper's gains, and on fresh runs each constraint fails with a probability of at most 1 % (95 % confidence).
 Time: a minute on two cores for the search and its pictures:
 
     qsmc tune studies/example2_tuned.py --for mu,rho_inf --objective "mean(total_variation_u)" \

@@ -87,6 +87,7 @@ def test_help_is_quick():
     assert time.perf_counter() - begin < 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("option", "is_kept"), [("--cache", True), ("--no-cache", False)])
 def test_compiled_programs_are_kept_only_if_wanted(tmp_path, option, is_kept):
     program = (

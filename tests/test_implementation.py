@@ -52,6 +52,7 @@ def example1_study(**fields):
     return qj.Study(scenario, bandwidth=0.1)
 
 
+@pytest.mark.slow
 def test_a_saturation_above_the_peak_of_the_ideal_input_changes_nothing():
     ideal = qj.monte_carlo(example1_study(), 128, block=64)
     free = qj.monte_carlo(example1_study(sample_period=1e-3), 128, block=64)

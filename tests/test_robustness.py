@@ -119,6 +119,7 @@ def test_a_cell_without_an_admissible_run_says_nothing():
     found.plot()
 
 
+@pytest.mark.slow
 def test_runs_that_cannot_be_decided_widen_the_interval():
     found = qj.robustness_map(study, {"p": [0.5]}, 64, block=64, settings=qj.SolverSettings(max_steps=1))
     assert found.funnel.undecided == 64

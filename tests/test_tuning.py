@@ -113,6 +113,7 @@ def test_no_certificate_for_what_fails_and_the_risk_of_all_designs_is_shared():
     assert sum(shares) == pytest.approx(0.05, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_certificate_is_granted_by_runs_that_training_never_saw():
     study = qj.Study(coin, bandwidth=0.5).substitute(coin=0.9)
     tuned = qj.tune(study, ["mu"], "mean(rms_error)", ["worst(peak_u) <= 5"], runs=64, certificate_runs=600, block=64)

@@ -69,25 +69,39 @@ def tune_study(
                 load_study(study_file, overrides or []),
                 tuple(part.strip() for part in names.split(",")),
             )
-            forward = mode == "forward" or (mode == "auto" and len(parameters) <= 4)
-            settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint="forward" if forward else "reverse")
+            settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint=_mode(mode, len(parameters)))
             solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
-            search: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
+            how: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
             claim: Any = {"certificate_runs": certificate_runs, "risk": risk, "confidence": confidence}
             with live_line("tuning", quiet=as_json) as tell:
-                told = None if tell is None else _Told(tell)
-                watched: Any = {"tell": told, "progress": None if told is None else told.certifying}
-                result = tune(study, parameters, objective, subject_to or (), **search, **claim, **solving, **watched)
+                watched: Any = {} if tell is None else _Told(tell).watched
+                result = tune(
+                    study,
+                    parameters,
+                    objective,
+                    subject_to or (),
+                    designs=designs,
+                    **search,
+                    **claim,
+                    **solving,
+                    **watched,
+                )
             content = {**result.summary(), "provenance": provenance(study_file, sys.argv)}
             if folder:
-                folder.add_json("tuning.json", content)
-                folder.add_table("tuning.parquet", result.table())
                 with waiting("drawing", quiet=as_json):
-                    _draw(folder.add_figure, result, against, points, min(runs, 128))
-                folder.commit()
+                    _write(folder, result, content, against, points)
         again = f"\nWritten to {out}. Again: qsmc verify {study_file} -S @{out} --seed {seed + 1000}" if out else ""
         say(to_json(content) if as_json else str(result) + again)
     raise typer.Exit(0 if result.is_certified or not certificate_runs else UNDECIDED)
+
+
+def _mode(mode: str, names: int) -> Literal["forward", "reverse"]:
+    """The mode of differentiation for so many names."""
+    from qsmc_jax.tuning.tune import FORWARD
+
+    if mode == "auto":
+        return "forward" if names <= FORWARD else "reverse"
+    return "forward" if mode == "forward" else "reverse"
 
 
 class _Told:
@@ -107,11 +121,24 @@ class _Told:
             f"(best {self._best:.5g})"
         )
 
+    @property
+    def watched(self) -> dict[str, Any]:
+        """The arguments of `tune` that tell."""
+        return {"tell": self, "progress": self.certifying}
+
     def certifying(self, done: int, total: int) -> None:
         self._tell(f"certifying, {done} of {total} fresh runs")
 
 
-def _draw(add: Callable[[str, Any], None], result: "Tuning", against: str | None, points: int, runs: int) -> None:
+def _write(folder: Any, result: "Tuning", content: Any, against: str | None, points: int) -> None:
+    """Numbers, table and pictures, all or nothing."""
+    folder.add_json("tuning.json", content)
+    folder.add_table("tuning.parquet", result.table())
+    _draw(folder.add_figure, result, against, points)
+    folder.commit()
+
+
+def _draw(add: Callable[[str, Any], None], result: "Tuning", against: str | None, points: int) -> None:
     """The pictures: the search, the loop before and after, and for two gains the landscape and the Pareto front."""
     from qsmc_jax.simulation.trajectory_plots import plot_trajectory
     from qsmc_jax.tuning.landscape import landscape
@@ -131,7 +158,7 @@ def _draw(add: Callable[[str, Any], None], result: "Tuning", against: str | None
             result.constraints,
             against=against,
             points=points,
-            runs=runs,
+            runs=min(result.runs, 128),
             seed=result.seed,
             mark={"before": result.before.gains, "tuned": result.gains},
         )

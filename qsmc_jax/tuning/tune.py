@@ -20,6 +20,8 @@ from qsmc_jax.tuning.trust import check_start, refuse_jumps
 
 # Widths of the smooth maximum, one descent after the other from where the last one ended, in standard deviations.
 _ANNEALED = (0.2, 0.0)
+# Names up to which forward mode is the quicker one.
+FORWARD = 4
 
 
 def tune(
@@ -86,79 +88,114 @@ def tune(
         ValueError: An argument is out of range, the gradient can't be trusted, the objective is not known at the
             start, or no point that keeps the constraints was found (the message says which fails, and by how much).
     """
-    names = tuple(parameters)
-    objective, constraints = parse_objective(objective), tuple(map(parse_constraint, subject_to))
     require(runs >= 2, f"Argument `runs` must be at least 2, but is {runs}.")
-    require(1 <= descents <= starts, f"Argument `descents` must lie in [1, starts], but is {descents}.")
-    require(designs >= 1 and steps >= 1, f"Arguments `designs` and `steps` must be at least 1: {designs}, {steps}.")
-    require(0.0 < risk < 1.0, f"Argument `risk` must lie strictly between 0 and 1, but is {risk}.")
-    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
-    box = box_of(study, names)
+    search, claim = (
+        Search(method, steps, tolerance, starts, descents),
+        Claim(certificate_runs, risk, confidence, designs),
+    )
+    names, objective = tuple(parameters), parse_objective(objective)
+    constraints, box = tuple(map(parse_constraint, subject_to)), box_of(study, names)
     refuse_jumps(study)
-    settings = settings or SolverSettings(adjoint="forward" if len(names) <= 4 else "reverse")
+    settings = settings or SolverSettings(adjoint="forward" if len(names) <= FORWARD else "reverse")
     batch = Batch(study, box, objective, constraints, runs, seed, settings, block, threads, 0, tell)
     _check_metrics(batch)
     before = check_start(batch, box.point(study))
     batch.allowed = before.unknown
-    certificates: list[Certificate] = []
-    fresh = {"runs": certificate_runs, "risk": risk, "settings": settings, "block": block, "threads": threads}
-    best, chosen = before, None
-    for attempt in range(designs):
-        if attempt:
-            tighter = tuple(_tightened(constraint, 0.9**attempt) for constraint in constraints)
-            batch = dataclasses.replace(
-                batch, seed=seed + 2 * attempt, attempt=attempt, constraints=tighter, history=list(batch.history)
-            )
-        candidates = _candidates(batch, method, steps, tolerance, starts, descents)
-        best = candidates[0]
-        if not certificate_runs:
-            break
-        pairs = [(each.gains, each.objective) for each in candidates]
+    best, chosen, certificates = _designed(batch, search, claim, progress)
+    sensitivity = _sensitivity(batch, best, constraints)
+    found = (before, best, tuple(batch.history), certificates, chosen, sensitivity)
+    return Tuning(study, names, objective, constraints, runs, seed, confidence, *found)
+
+
+@dataclasses.dataclass(frozen=True)
+class Search:
+    """How to search; see `tune`."""
+
+    method: Method
+    steps: int
+    tolerance: float
+    starts: int
+    descents: int
+
+    def __post_init__(self):
+        require(self.steps >= 1, f"Argument `steps` must be at least 1, but is {self.steps}.")
+        fits = 1 <= self.descents <= self.starts
+        require(fits, f"Argument `descents` must lie in [1, {self.starts}], the `starts`, but is {self.descents}.")
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """What to certify; see `tune`."""
+
+    runs: int
+    risk: float
+    confidence: float
+    designs: int
+
+    def __post_init__(self):
+        for name in ("risk", "confidence"):
+            value = getattr(self, name)
+            require(0.0 < value < 1.0, f"Argument `{name}` must lie strictly between 0 and 1, but is {value}.")
+        require(self.designs >= 1, f"Argument `designs` must be at least 1, but is {self.designs}.")
+        require(self.runs >= 0, f"Argument `certificate_runs` must not be negative, but is {self.runs}.")
+
+
+def _designed(
+    batch: Batch, search: Search, claim: Claim, progress: Progress | None
+) -> tuple[Evaluation, Certificate | None, tuple[Certificate, ...]]:
+    """One design after the other until one is certified: the choice, its certificate, and all certificates."""
+    constraints, seed, certificates = batch.constraints, batch.seed, []
+    best, chosen = None, None
+    for attempt in range(claim.designs):
+        batch.attempt, batch.seed = attempt, seed + 2 * attempt
+        batch.constraints = tuple(_tightened(constraint, 0.9**attempt) for constraint in constraints)
+        candidates = _candidates(batch, search)
+        if not claim.runs:
+            return candidates[0], None, ()
         made = certify(
-            study,
-            pairs,
-            objective,
+            batch.study,
+            [(each.gains, each.objective) for each in candidates],
+            batch.objective,
             constraints,
+            runs=claim.runs,
             seed=seed + 2 * attempt + 1,
-            confidence=confidence_of(attempt, confidence),
+            risk=claim.risk,
+            confidence=confidence_of(attempt, claim.confidence),
+            settings=batch.settings,
+            block=batch.block,
+            threads=batch.threads,
             progress=progress,
-            **fresh,
         )
         certificates += made
-        granted = [number for number, each in enumerate(made) if each.is_granted]
-        number = granted[0] if granted else 0
+        number = next((number for number, each in enumerate(made) if each.is_granted), 0)
         best, chosen = candidates[number], made[number]
-        if granted:
+        if chosen.is_granted:
             break
-    sensitivity = _sensitivity(batch, best, constraints)
-    history = tuple(batch.history)
-    everything = (tuple(certificates), chosen, sensitivity)
-    return Tuning(study, names, objective, constraints, runs, seed, confidence, before, best, history, *everything)
+    assert best is not None
+    return best, chosen, tuple(certificates)
 
 
-def _candidates(
-    batch: Batch, method: Method, steps: int, tolerance: float, starts: int, descents: int
-) -> list[Evaluation]:
+def _candidates(batch: Batch, search: Search) -> list[Evaluation]:
     """The best feasible point of each descent, the best first."""
-    points = _starts(batch, starts)
+    points = _starts(batch, search.starts)
     tried = [batch.evaluate(v) for v in points]
-    order = sorted(range(starts), key=lambda i: tried[i].merit)[:descents]
-    widths = _ANNEALED if _has_maximum(batch) else _ANNEALED[-1:]
-    found = []
-    for number in order:
-        v, first = points[number], len(batch.history)
-        met = [tried[number]]
-        for width in widths:
-            scale = abs(met[0].objective) if np.isfinite(met[0].objective) and met[0].objective else 1.0
-            descend(Slope(batch, width, number, scale), v, method, steps, tolerance)
-            met = [tried[number], *batch.history[first:]]
-            v = batch.box.place(min(met, key=lambda each: each.merit).gains)
-        found.append(min(met, key=lambda each: each.merit))
-    found.sort(key=lambda each: each.merit)
+    order = sorted(range(search.starts), key=lambda i: tried[i].merit)[: search.descents]
+    found = sorted((_descended(batch, search, points[i], tried[i], i) for i in order), key=lambda each: each.merit)
     feasible = [each for each in found if each.is_feasible]
     if not feasible:
         raise ValueError(_infeasible(batch, found[0]))
     return feasible
+
+
+def _descended(batch: Batch, search: Search, v: np.ndarray, first: Evaluation, number: int) -> Evaluation:
+    """The best point of one descent, its start included."""
+    scale = abs(first.objective) if np.isfinite(first.objective) and first.objective else 1.0
+    since, best = len(batch.history), first
+    for width in _ANNEALED if _has_maximum(batch) else _ANNEALED[-1:]:
+        descend(Slope(batch, width, number, scale), v, search.method, search.steps, search.tolerance)
+        best = min((first, *batch.history[since:]), key=lambda each: each.merit)
+        v = batch.box.place(best.gains)
+    return best
 
 
 def _starts(batch: Batch, count: int) -> list[np.ndarray]:
