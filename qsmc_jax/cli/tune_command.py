@@ -75,17 +75,7 @@ def tune_study(
             claim: Any = {"certificate_runs": certificate_runs, "risk": risk, "confidence": confidence}
             with live_line("tuning", quiet=as_json) as tell:
                 watched: Any = {} if tell is None else _Told(tell).watched
-                result = tune(
-                    study,
-                    parameters,
-                    objective,
-                    subject_to or (),
-                    designs=designs,
-                    **search,
-                    **claim,
-                    **solving,
-                    **watched,
-                )
+                result = tune(study, parameters, objective, subject_to or (), **how, **claim, **solving, **watched)
             content = {**result.summary(), "provenance": provenance(study_file, sys.argv)}
             if folder:
                 with waiting("drawing", quiet=as_json):
