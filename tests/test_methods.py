@@ -72,6 +72,7 @@ def test_fast_transient_is_damped_in_one_step(name):
     assert abs(float(y1[0]) - np.sin(0.1)) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_forward_and_reverse_mode_agree(name):
     def end(y0):
