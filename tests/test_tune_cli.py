@@ -53,7 +53,8 @@ def test_a_tuning_writes_its_folder_and_its_gains_can_be_verified(file, tmp_path
         "--against",
         "mean(rms_error)",
     )
-    done = qsmc("tune", file, "--for", "rho0,mu", *options, *QUICK, "--certificate-runs", 1200)
+    rest = ("--certificate-runs", 1200, "--points", 3, "--out", out)
+    done = qsmc("tune", file, "--for", "rho0,mu", *options, *QUICK, *rest)
     assert done.exit_code == 0, done.output
     assert "CERTIFIED" in done.output
     assert {path.name for path in out.iterdir()} == {

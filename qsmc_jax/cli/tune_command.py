@@ -34,8 +34,8 @@ def tune_study(
     runs: Annotated[int, typer.Option(help="Training runs of each evaluation.")] = 256,
     method: Annotated[Literal["slsqp", "adam", "bfgs"], typer.Option(help="Method of descent.")] = "slsqp",
     mode: Annotated[
-        Literal["auto", "forward", "reverse"], typer.Option(help="Differentiation; auto: forward up to four gains.")
-    ] = "auto",
+        Literal["forward", "reverse"], typer.Option(help="Differentiation; reverse is not right at tight tolerances.")
+    ] = "forward",
     steps: Annotated[int, typer.Option(help="Steps of a descent at most.")] = 50,
     starts: Annotated[int, typer.Option(help="Starting points, the study's own among them.")] = 4,
     descents: Annotated[int, typer.Option(help="From how many of them to descend.")] = 1,
@@ -69,7 +69,7 @@ def tune_study(
                 load_study(study_file, overrides or []),
                 tuple(part.strip() for part in names.split(",")),
             )
-            settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint=_mode(mode, len(parameters)))
+            settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint=mode)
             solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
             how: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
             claim: Any = {"certificate_runs": certificate_runs, "risk": risk, "confidence": confidence}
@@ -83,15 +83,6 @@ def tune_study(
         again = f"\nWritten to {out}. Again: qsmc verify {study_file} -S @{out} --seed {seed + 1000}" if out else ""
         say(to_json(content) if as_json else str(result) + again)
     raise typer.Exit(0 if result.is_certified or not certificate_runs else UNDECIDED)
-
-
-def _mode(mode: str, names: int) -> Literal["forward", "reverse"]:
-    """The mode of differentiation for so many names."""
-    from qsmc_jax.tuning.tune import FORWARD
-
-    if mode == "auto":
-        return "forward" if names <= FORWARD else "reverse"
-    return "forward" if mode == "forward" else "reverse"
 
 
 class _Told:

@@ -60,7 +60,8 @@ def differentiate(
         seed: Seed of the study.
         names: Parameters of the study, each one number.
         metrics: Columns of the table of runs, each a number with a derivative.
-        settings: Method, tolerances, and the mode: `adjoint="forward"` for a few names, `"reverse"` for many.
+        settings: Method, tolerances, and the mode: `adjoint="forward"`, or `"reverse"` at the default tolerance
+            or looser (see `SolverSettings`).
         block: Runs solved together, a multiple of 64.
         threads: Blocks solved at the same time; None for one a core.
 

@@ -20,8 +20,6 @@ from qsmc_jax.tuning.trust import check_start, refuse_jumps
 
 # Widths of the smooth maximum, one descent after the other from where the last one ended, in standard deviations.
 _ANNEALED = (0.2, 0.0)
-# Names up to which forward mode is the quicker one.
-FORWARD = 4
 
 
 def tune(
@@ -74,8 +72,8 @@ def tune(
         risk: Probability of failure that each certified statement may have, strictly between 0 and 1.
         confidence: That every statement of all certificates holds, strictly between 0 and 1.
         designs: Designs at most.
-        settings: Method, tolerances and, by `adjoint`, the mode of differentiation; None for forward mode up to four
-            parameters, else reverse mode.
+        settings: Method, tolerances and, by `adjoint`, the mode of differentiation; None for forward mode,
+            which is right at every tolerance; reverse mode is not at tight ones, see `SolverSettings`.
         block: Runs solved together at most, a multiple of 64.
         threads: Blocks solved at the same time; None for one a core.
         tell: Called with each evaluation.
@@ -96,7 +94,7 @@ def tune(
     names, objective = tuple(parameters), parse_objective(objective)
     constraints, box = tuple(map(parse_constraint, subject_to)), box_of(study, names)
     refuse_jumps(study)
-    settings = settings or SolverSettings(adjoint="forward" if len(names) <= FORWARD else "reverse")
+    settings = settings or SolverSettings(adjoint="forward")
     batch = Batch(study, box, objective, constraints, runs, seed, settings, block, threads, 0, tell)
     _check_metrics(batch)
     before = check_start(batch, box.point(study))
