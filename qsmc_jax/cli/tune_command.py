@@ -34,7 +34,8 @@ def tune_study(
     runs: Annotated[int, typer.Option(help="Training runs of each evaluation.")] = 256,
     method: Annotated[Literal["slsqp", "adam", "bfgs"], typer.Option(help="Method of descent.")] = "slsqp",
     mode: Annotated[
-        Literal["forward", "reverse"], typer.Option(help="Differentiation; reverse is not right at tight tolerances.")
+        Literal["forward", "reverse"],
+        typer.Option(help="Differentiation; reverse for many gains."),
     ] = "forward",
     steps: Annotated[int, typer.Option(help="Steps of a descent at most.")] = 50,
     starts: Annotated[int, typer.Option(help="Starting points, the study's own among them.")] = 4,

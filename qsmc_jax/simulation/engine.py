@@ -20,7 +20,7 @@ from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
 from qsmc_jax.simulation.sampled_figures import read_sampled_figures
 from qsmc_jax.simulation.sampled_loop import run_sampled
-from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
 from qsmc_jax.simulation.step_size import controller
 from qsmc_jax.simulation.tally import Problem, first_tally
 from qsmc_jax.simulation.tsit5 import Tsit5
@@ -93,7 +93,7 @@ def _solve_ideal(
         saveat=_saveat(times),
         stepsize_controller=controller(problem.loop.disturbance.break_times, horizon),
         max_steps=settings.max_steps,
-        adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(),
+        adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(CHECKPOINTS),
         throw=False,
     )
     last, saved = solution.ys  # pyright: ignore[reportGeneralTypeIssues]  # None only if nothing is saved

@@ -72,8 +72,8 @@ def tune(
         risk: Probability of failure that each certified statement may have, strictly between 0 and 1.
         confidence: That every statement of all certificates holds, strictly between 0 and 1.
         designs: Designs at most.
-        settings: Method, tolerances and, by `adjoint`, the mode of differentiation; None for forward mode,
-            which is right at every tolerance; reverse mode is not at tight ones, see `SolverSettings`.
+        settings: Method, tolerances and, by `adjoint`, the mode of differentiation; None for forward mode;
+            reverse mode suits many parameters and runs of at most 4096 steps.
         block: Runs solved together at most, a multiple of 64.
         threads: Blocks solved at the same time; None for one a core.
         tell: Called with each evaluation.
