@@ -66,10 +66,8 @@ def tune_study(
         from qsmc_jax.tuning.tune import tune
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
-            study, parameters = (
-                load_study(study_file, overrides or []),
-                tuple(part.strip() for part in names.split(",")),
-            )
+            study = load_study(study_file, overrides or [])
+            parameters = tuple(part.strip() for part in names.split(","))
             settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint=mode)
             solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
             how: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
@@ -80,7 +78,8 @@ def tune_study(
             content = {**result.summary(), "provenance": provenance(study_file, sys.argv)}
             if folder:
                 with waiting("drawing", quiet=as_json):
-                    _write(folder, result, content, against, points)
+                    drawn: Any = {"settings": settings, "block": block, "threads": threads}
+                    _write(folder, result, content, {"against": against, "points": points, **drawn})
         again = f"\nWritten to {out}. Again: qsmc verify {study_file} -S @{out} --seed {seed + 1000}" if out else ""
         say(to_json(content) if as_json else str(result) + again)
     raise typer.Exit(0 if result.is_certified or not certificate_runs else UNDECIDED)
@@ -97,7 +96,9 @@ class _Told:
         if made.is_feasible:
             self._best = min(self._best, made.objective)
         gains = ", ".join(f"{name} {value:.4g}" for name, value in made.gains.items())
-        kept = "" if made.is_feasible else f", a constraint passed by {100 * max(made.excess, default=0.0):.2g} %"
+        lack = 100.0 * max(made.lacks, default=0.0)
+        reason = f"a constraint passed by {lack:.2g} %" if lack > 0.0 else "figures not known"
+        kept = "" if made.is_feasible else f", {reason}"
         self._tell(
             f"evaluation {self._count}, {made.spent} simulations, {gains}: {made.objective:.5g}{kept} "
             f"(best {self._best:.5g})"
@@ -112,15 +113,15 @@ class _Told:
         self._tell(f"certifying, {done} of {total} fresh runs")
 
 
-def _write(folder: Any, result: "Tuning", content: Any, against: str | None, points: int) -> None:
+def _write(folder: Any, result: "Tuning", content: Any, drawn: dict[str, Any]) -> None:
     """Numbers, table and pictures, all or nothing."""
     folder.add_json("tuning.json", content)
     folder.add_table("tuning.parquet", result.table())
-    _draw(folder.add_figure, result, against, points)
+    _draw(folder.add_figure, result, drawn)
     folder.commit()
 
 
-def _draw(add: Callable[[str, Any], None], result: "Tuning", against: str | None, points: int) -> None:
+def _draw(add: Callable[[str, Any], None], result: "Tuning", drawn: dict[str, Any]) -> None:
     """The pictures: the search, the loop before and after, and for two gains the landscape and the Pareto front."""
     from qsmc_jax.simulation.trajectory_plots import plot_trajectory
     from qsmc_jax.tuning.landscape import landscape
@@ -131,19 +132,19 @@ def _draw(add: Callable[[str, Any], None], result: "Tuning", against: str | None
         ", ".join(f"{name} = {value:.4g}" for name, value in gains.items())
         for gains in (result.before.gains, result.gains)
     ]
-    add("before_after.png", plot_trajectory(before.simulate(), result.study.simulate(), labels=tuple(labels)))
+    runs = [study.simulate(settings=drawn["settings"]) for study in (before, result.study)]
+    add("before_after.png", plot_trajectory(*runs, labels=tuple(labels)))
     if len(result.parameters) == 2:
         made = landscape(
             result.base,
             result.parameters,
             result.objective,
             result.constraints,
-            against=against,
-            points=points,
             runs=min(result.runs, 128),
             seed=result.seed,
             mark={"before": result.before.gains, "tuned": result.gains},
+            **drawn,
         )
         add("landscape.png", made.plot(result.history))
-        if against is not None:
+        if drawn["against"] is not None:
             add("pareto.png", made.plot_pareto())

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools as ft
+import os
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
@@ -49,44 +50,61 @@ class Lanes:
 
     def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
         """How stiff each of up to `count` runs will be."""
-        program = compiled(_stiffness, self.study.scenario, self.shapes(), self.study.dimension, self.count)
+        program = _compiled(_stiffness, self.study.scenario, self._shapes(), self.study.dimension, self.count)
         with jax.enable_x64(True):
-            return np.asarray(program(self.filled(points), self.values()))[: len(points)]
+            return np.asarray(program(self._filled(points), self._values()))[: len(points)]
 
     def compile(self, method: str) -> Program:
         """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
-        block = _Block(self.settings.replace(method=method).choices)
-        return compiled(block, self.study.scenario, self.shapes(), self.study.dimension, self.count, numbers=3)
+        return self.compile_block(_Block(self.settings.replace(method=method).choices))
 
     def compile_nominal(self) -> None:
         """The program that the nominal run needs, and with it most others."""
+        self.compile(self.nominal_method)
+
+    @property
+    def nominal_method(self) -> str:
+        """The method for the nominal run."""
         method, nominal = self.settings.method, self.study.stiffness
-        self.compile(method_for(nominal, nominal) if method == "auto" else method)
+        return method_for(nominal, nominal) if method == "auto" else method
 
     def solve(self, indices: np.ndarray, points: Float[np.ndarray, "runs dim"], method: str) -> Runs:
         """The rows of up to `count` runs. Lanes left over repeat the first run and are dropped."""
-        program, bandwidth = self.compile(method), np.float64(self.study.bandwidth)
-        numbers = bandwidth, self.settings.rtol, self.settings.atol
-        with jax.enable_x64(True):
-            result = jax.device_get(program(self.filled(points), self.values(), *numbers))
-        return _table(self.study, indices, *result)
+        return _table(self.study, indices, *self.call(self.compile(method), points))
 
-    def filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
+    def compile_block(self, block: Callable[..., Any]) -> Program:
+        """The program of a block, given points, values, bandwidth and tolerances."""
+        return _compiled(block, self.study.scenario, self._shapes(), self.study.dimension, self.count, numbers=3)
+
+    def call(self, program: Program, points: Float[np.ndarray, "runs dim"]) -> Any:
+        """What such a program makes of up to `count` points, on the host; rows beyond them mean nothing."""
+        numbers = np.float64(self.study.bandwidth), self.settings.rtol, self.settings.atol
+        with jax.enable_x64(True):
+            return jax.device_get(program(self._filled(points), self._values(), *numbers))
+
+    def _filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
         """The points, and the first again for every lane left over."""
         return np.concatenate([points, np.repeat(points[:1], self.count - len(points), axis=0)])
 
-    def shapes(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    def _shapes(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
         """Name and shape of each of `values`."""
-        return tuple((name, value.shape) for name, value in self.values().items())
+        return tuple((name, value.shape) for name, value in self._values().items())
 
-    def values(self) -> dict[str, np.ndarray]:
+    def _values(self) -> dict[str, np.ndarray]:
         """Every parameter and every substituted name: data, so that no value is compiled in."""
         parameters = {spec.name: spec.nominal for spec in self.study.specs if spec.kind == "parameter"}
         return {name: np.asarray(value) for name, value in sorted({**parameters, **self.study.values}.items())}
 
 
+def thread_count(threads: int | None) -> int:
+    """Blocks to be solved at the same time; None stands for one a core."""
+    count = os.cpu_count() or 1 if threads is None else threads
+    require(count >= 1, f"Argument `threads` must be at least 1, but is {count}.")
+    return count
+
+
 @ft.lru_cache(maxsize=64)
-def compiled(
+def _compiled(
     block: Callable[..., Any],
     scenario: Callable[[Any], Any],
     shapes: tuple[tuple[str, tuple[int, ...]], ...],

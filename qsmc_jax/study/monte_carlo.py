@@ -1,7 +1,6 @@
 """Many runs of a study: fixed-size blocks over threads, rows out in order of their index."""
 
 import collections
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -9,7 +8,7 @@ import numpy as np
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import Lanes
+from qsmc_jax.study.lanes import Lanes, thread_count
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
@@ -94,8 +93,7 @@ def stream(
     """
     lanes = Lanes(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
-    threads = os.cpu_count() or 1 if threads is None else threads
-    require(threads >= 1, f"Argument `threads` must be at least 1, but is {threads}.")
+    threads = thread_count(threads)
     planner = Planner(lanes, seed, sampling)
     done, solved = 0, []
     for piece, table in _in_order(lanes, planner.pieces(indices), threads):

@@ -78,7 +78,7 @@ class Study:
     def __post_init__(self):
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
         require_finite("bandwidth", self.bandwidth)
-        specs, _ = discover(self.scenario)
+        specs = _specs(self.scenario)
         values = check_values(specs, self.values)
         nominal = self._at(None, values)
         nominal.loop.control.funnel.check_bandwidth(self.bandwidth)
@@ -145,6 +145,12 @@ class Study:
             f"Argument `scenario` must return a `Scenario(loop, x0, t1)`, but returns a `{found}`.",
         )
         return result
+
+
+@ft.lru_cache(maxsize=64)
+def _specs(scenario: Callable[[Any], Any]) -> tuple[DrawSpec, ...]:
+    """The names of a scenario: whatever is substituted they are the same, and are found once."""
+    return discover(scenario)[0]
 
 
 @entry_point

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools as ft
-import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -13,8 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
-from qsmc_jax.simulation.stiffness import method_for
-from qsmc_jax.study.lanes import Lanes, compiled, run
+from qsmc_jax.study.lanes import Lanes, run, thread_count
 from qsmc_jax.study.sampling import Random
 from qsmc_jax.study.study import Study
 
@@ -67,21 +65,16 @@ def differentiate(
     Returns:
         The figures and derivatives, on the host.
     """
-    if settings.method == "auto":
-        settings = settings.replace(method=method_for(study.stiffness, study.stiffness))
     lanes = Lanes(study, settings, block)
-    work = _Block(settings.choices, names, metrics)
-    program = compiled(work, study.scenario, lanes.shapes(), study.dimension, block, numbers=3)
-    numbers = np.float64(study.bandwidth), settings.rtol, settings.atol
+    choices = settings.replace(method=lanes.nominal_method).choices
+    program = lanes.compile_block(_Block(choices, names, metrics))
     chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
 
     def solve(chunk: np.ndarray) -> list[np.ndarray]:
-        points = Random().points(seed, chunk, study.dimension)
-        with jax.enable_x64(True):
-            result = jax.device_get(program(lanes.filled(points), lanes.values(), *numbers))
+        result = lanes.call(program, Random().points(seed, chunk, study.dimension))
         return [np.asarray(part)[: len(chunk)] for part in result]
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(thread_count(threads)) as pool:
         values, jacobian, verdict, steps = map(np.concatenate, zip(*pool.map(solve, chunks), strict=True))
     is_known = np.isfinite(values) & np.isfinite(jacobian).all(axis=2)
     if settings.adjoint == "reverse" and study.nominal.loop.implementation is None:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import LANE_MULTIPLE
+from qsmc_jax.study.lanes import LANE_MULTIPLE, thread_count
 from qsmc_jax.study.monte_carlo import monte_carlo
 from qsmc_jax.study.study import Study
 from qsmc_jax.study.tangents import differentiate
@@ -28,6 +28,7 @@ class Evaluation:
         gains: The gains, by name.
         objective: The objective, without smoothing.
         excess: By how much each constraint is passed, in units of its bound; kept where not positive.
+        inside: How far inside its bound each must stay, in units of it.
         unknown: Part of the runs that are inadmissible or undecided, or in which some figure is not known.
         allowed: What part may be: that at the study's own gains. Statistics pass over unknown runs, and gains must not
             look better by making more of them.
@@ -39,6 +40,7 @@ class Evaluation:
     gains: dict[str, float]
     objective: float
     excess: tuple[float, ...]
+    inside: float
     unknown: float
     allowed: float
     spent: int
@@ -46,15 +48,20 @@ class Evaluation:
     attempt: int
 
     @property
+    def lacks(self) -> tuple[float, ...]:
+        """What each constraint lacks to be kept as far inside as it must; nothing where not positive."""
+        return tuple(each + self.inside for each in self.excess)
+
+    @property
     def is_feasible(self) -> bool:
         """Whether every constraint is kept and the objective known, in no fewer runs than at the study's own gains."""
         is_known = bool(np.isfinite(self.objective)) and self.unknown <= self.allowed
-        return is_known and all(each <= KEPT for each in self.excess)
+        return is_known and all(each <= KEPT for each in self.lacks)
 
     @property
     def merit(self) -> tuple[bool, float]:
         """Smaller is better: feasible ones by their objective, then the others by what they lack."""
-        lack = sum(max(each, 0.0) if np.isfinite(each) else np.inf for each in self.excess)
+        lack = sum(max(each, 0.0) if np.isfinite(each) else np.inf for each in self.lacks)
         lack += max(self.unknown - self.allowed, 0.0)
         return not self.is_feasible, self.objective if self.is_feasible else lack
 
@@ -76,6 +83,7 @@ class Batch:
         attempt: Number of the design.
         tell: Told each evaluation.
         allowed: Part of the runs that may be unknown.
+        inside: How far inside its bound each constraint must stay, in units of it.
         spent: Simulations made so far.
         history: Every evaluation, in order.
     """
@@ -92,6 +100,7 @@ class Batch:
     attempt: int
     tell: Callable[[Evaluation], None] | None
     allowed: float = 1.0
+    inside: float = 0.0
     spent: int = 0
     history: list[Evaluation] = dataclasses.field(default_factory=list)
 
@@ -144,7 +153,7 @@ class Batch:
     @property
     def _block(self) -> int:
         """Small enough that every thread has work, a multiple of 64."""
-        each = -(-self.runs // (2 * LANE_MULTIPLE)) * LANE_MULTIPLE
+        each = -(-self.runs // (thread_count(self.threads) * LANE_MULTIPLE)) * LANE_MULTIPLE
         return min(self.block, each)
 
     def _keep(self, gains: dict[str, float], columns: Any, verdict: np.ndarray, start: int) -> Evaluation:
@@ -153,6 +162,7 @@ class Batch:
             gains=gains,
             objective=self.objective.evaluate(columns)[0],
             excess=tuple(constraint.excess(columns)[0] for constraint in self.constraints),
+            inside=self.inside,
             unknown=float(np.mean(~is_known | np.isin(verdict, (Verdict.UNDECIDED, Verdict.INADMISSIBLE)))),
             allowed=self.allowed,
             spent=self.spent,

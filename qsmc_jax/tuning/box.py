@@ -7,11 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.study.draw import check_values
 from qsmc_jax.study.study import Study
-
-# Bounds further apart than this are searched in the logarithm.
-_DECADE = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,12 +30,15 @@ class Box:
 
     def gains(self, v: Float[np.ndarray, " names"]) -> dict[str, float]:
         """The numbers at a point of the unit cube, by name."""
-        return dict(zip(self.names, np.clip(self._numbers(v), self.low, self.high).tolist(), strict=True))
+        low, high = self._straight(self.low), self._straight(self.high)
+        x = low + v * (high - low)
+        x = np.where(self.is_logarithmic, np.exp(np.where(self.is_logarithmic, x, 0.0)), x)
+        return dict(zip(self.names, np.clip(x, self.low, self.high).tolist(), strict=True))
 
     def slopes(self, v: Float[np.ndarray, " names"]) -> Float[np.ndarray, " names"]:
         """The derivative of each number by its coordinate."""
-        ratio = np.log(np.where(self.is_logarithmic, self.high / np.where(self.low == 0.0, 1.0, self.low), 1.0))
-        return np.where(self.is_logarithmic, self._numbers(v) * ratio, self.high - self.low)
+        x = np.array(list(self.gains(v).values()))
+        return (self._straight(self.high) - self._straight(self.low)) * np.where(self.is_logarithmic, x, 1.0)
 
     def point(self, study: Study) -> Float[np.ndarray, " names"]:
         """Where the study stands in the unit cube."""
@@ -46,16 +47,12 @@ class Box:
 
     def place(self, gains: Mapping[str, float]) -> Float[np.ndarray, " names"]:
         """The point of the unit cube with the given numbers: `gains` backwards."""
-        x = np.array([gains[name] for name in self.names])
-        low = np.where(self.is_logarithmic, self.low, 1.0)
-        ratio = np.where(self.is_logarithmic, self.high / low, 2.0)
-        geometric = np.log(np.where(self.is_logarithmic, x, 1.0) / low) / np.log(ratio)
-        return np.where(self.is_logarithmic, geometric, (x - self.low) / (self.high - self.low))
+        low, high = self._straight(self.low), self._straight(self.high)
+        return (self._straight(np.array([gains[name] for name in self.names])) - low) / (high - low)
 
-    def _numbers(self, v: np.ndarray) -> np.ndarray:
-        low = np.where(self.is_logarithmic, self.low, 1.0)
-        ratio = np.where(self.is_logarithmic, self.high, 1.0) / low
-        return np.where(self.is_logarithmic, low * ratio**v, self.low + v * (self.high - self.low))
+    def _straight(self, x: Float[np.ndarray, " names"]) -> Float[np.ndarray, " names"]:
+        """What the coordinate is linear in: the number or its logarithm."""
+        return np.where(self.is_logarithmic, np.log(np.where(self.is_logarithmic, x, 1.0)), x)
 
 
 def box_of(study: Study, names: tuple[str, ...]) -> Box:
@@ -81,4 +78,4 @@ def box_of(study: Study, names: tuple[str, ...]) -> Box:
             f"Parameter `{name}` must have finite bounds that depend on no other name, but has {spec.bounds}.",
         )
     low, high = np.array([specs[name].bounds for name in names]).T
-    return Box(names, low, high, (low > 0.0) & (high > _DECADE * low))
+    return Box(names, low, high, np.array([spans_decade(*specs[name].bounds) for name in names]))

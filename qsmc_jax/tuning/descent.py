@@ -48,6 +48,7 @@ class Slope:
             unit = np.array([self.scale, *np.ones(len(values) - 1)])
             # A trial with nothing known is as bad as can be, and says so with a finite number.
             values = np.where(np.isfinite(values), values / unit, 1e6)
+            values[1:] += self.batch.inside
             self._last = (key, values, slopes / unit[:, None])
         return self._last[1], self._last[2]
 

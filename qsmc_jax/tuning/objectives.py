@@ -6,13 +6,14 @@
 import ast
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
 
+_Kind = TypeVar("_Kind")
 Statistic: TypeAlias = Literal["mean", "cvar", "worst", "least"]
 
 # Columns with a derivative by the gains. Times and counts to the step, such as `settle_time`, have none.
@@ -195,9 +196,7 @@ def parse_objective(text: "str | Objective") -> Objective:
     Raises:
         ValueError: The text is not of that form.
     """
-    made = text if isinstance(text, Objective) else _made(text, "objective")
-    require(isinstance(made, Objective), f"Argument `objective` must be a sum of statistics, but is `{text}`.")
-    return made
+    return _parsed(text, Objective, f"Argument `objective` must be a sum of statistics, but is `{text}`.")
 
 
 def parse_constraint(text: "str | Constraint") -> Constraint:
@@ -206,22 +205,27 @@ def parse_constraint(text: "str | Constraint") -> Constraint:
     Raises:
         ValueError: The text is not of that form.
     """
-    made = text if isinstance(text, Constraint) else _made(text, "subject_to")
-    require(isinstance(made, Constraint), f"Argument `subject_to` must be a comparison with a number, not `{text}`.")
-    return made
+    return _parsed(text, Constraint, f"Argument `subject_to` must be a comparison with a number, not `{text}`.")
 
 
 _FUNCTIONS: dict[str, Any] = {"mean": mean, "cvar": cvar, "worst": worst, "least": least}
 
 
-def _made(text: str, argument: str) -> Any:
+def _parsed(text: "str | _Kind", kind: type[_Kind], message: str) -> _Kind:
+    """What the text says, which must be of that kind."""
+    if isinstance(text, kind):
+        return text
+    argument = "objective" if kind is Objective else "subject_to"
     try:
-        return _read(ast.parse(text.strip(), mode="eval").body)
+        made = _read(ast.parse(str(text).strip(), mode="eval").body)
     except (SyntaxError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         raise ValueError(
             f"Argument `{argument}` must be made of mean(m), cvar(m, level), worst(m) and least(m), such as "
             f"cvar(peak_error[0], 0.9) + 0.01 * mean(energy_u) or worst(peak_u) <= 20, but is `{text}`."
         ) from None
+    if not isinstance(made, kind):
+        raise ValueError(message)
+    return made
 
 
 def _read(node: ast.AST) -> Any:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.study.study import Study
-from qsmc_jax.tuning.batch import Evaluation
+from qsmc_jax.tuning.batch import KEPT, Evaluation
 from qsmc_jax.tuning.certificate import Certificate
 from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.result_plots import plot_tuning
@@ -132,7 +132,7 @@ class Tuning:
         rows.append(f"{str(self.objective)[:31]:32}{self.before.objective:14.6g}{self.best.objective:14.6g}")
         for i, constraint in enumerate(self.constraints):
             ends = [
-                f"{'kept' if e.excess[i] <= 1e-6 else 'passed'} {e.excess[i]:+.2g}" for e in (self.before, self.best)
+                f"{'kept' if e.excess[i] <= KEPT else 'passed'} {e.excess[i]:+.2g}" for e in (self.before, self.best)
             ]
             rows.append(f"{str(constraint)[:31]:32}{ends[0]:>14}{ends[1]:>14}")
         rows += [

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure
+from qsmc_jax.base.scales import spans_decade
 
 if TYPE_CHECKING:
     from qsmc_jax.tuning.batch import Evaluation
@@ -82,7 +83,7 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"]) -> Any:
     ax, (x, y) = axes[0, 0], made.grids
     values = made.values[0].T
     finite = values[np.isfinite(values)]
-    is_wide = finite.min() > 0.0 and finite.max() > 10.0 * finite.min()
+    is_wide = spans_decade(finite.min(), finite.max())
     levels = np.geomspace(finite.min(), finite.max(), 25) if is_wide else np.linspace(finite.min(), finite.max(), 25)
     norm = "log" if is_wide else "linear"
     filled = ax.contourf(x, y, np.ma.masked_invalid(values), levels=levels, norm=norm, cmap="viridis")
@@ -94,11 +95,13 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"]) -> Any:
         points = np.array([[each.gains[name] for name in made.names] for each in walks])
         ax.plot(*points.T, ".-", color=ORANGE, lw=1.0, label="path of the search")
         best = min(path, key=lambda each: each.merit)
-        ax.plot(*[best.gains[name] for name in made.names], "*", color=RED, ms=15, label="best")
+        ax.plot(
+            *[best.gains[name] for name in made.names], "*", color=RED, ms=15, clip_on=False, zorder=5, label="best"
+        )
         first = path[0]
         ax.plot(*[first.gains[name] for name in made.names], "D", color="white", mec="black", label="start")
     for axis, grid in (("x", x), ("y", y)):
-        if grid[0] > 0.0 and grid[-1] > 10.0 * grid[0]:
+        if spans_decade(grid[0], grid[-1]):
             ax.set(**{f"{axis}scale": "log"})
     ax.set(xlabel=made.names[0], ylabel=made.names[1])
     ax.set_title("; ".join(map(str, made.constraints)) or "no constraints", fontsize=9)
@@ -119,7 +122,7 @@ def plot_pareto(made: "Landscape") -> Any:
     for (label, point), colour, mark in zip(made.marked.items(), (ORANGE, GREEN), ("D", "*"), strict=False):
         ax.plot(*point[:2], mark, color=colour, ms=12, mec="black", label=label)
     for axis, values in (("x", points[0]), ("y", points[1])):
-        if np.nanmin(values) > 0.0 and np.nanmax(values) > 10.0 * np.nanmin(values):
+        if spans_decade(np.nanmin(values), np.nanmax(values)):
             ax.set(**{f"{axis}scale": "log"})
     ax.set(xlabel=str(made.objectives[0]), ylabel=str(made.objectives[1]))
     ax.legend(fontsize=8)

@@ -10,7 +10,7 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
 from qsmc_jax.study.study import Study
-from qsmc_jax.tuning.batch import Batch, Evaluation
+from qsmc_jax.tuning.batch import KEPT, Batch, Evaluation
 from qsmc_jax.tuning.box import box_of
 from qsmc_jax.tuning.certificate import Certificate, certify, confidence_of
 from qsmc_jax.tuning.descent import Method, Slope, descend
@@ -20,6 +20,8 @@ from qsmc_jax.tuning.trust import check_start, refuse_jumps
 
 # Widths of the smooth maximum, one descent after the other from where the last one ended, in standard deviations.
 _ANNEALED = (0.2, 0.0)
+# A design that is not certified is followed by one whose bounds are this part of its own.
+_TIGHTER = 0.9
 
 
 def tune(
@@ -100,7 +102,7 @@ def tune(
     before = check_start(batch, box.point(study))
     batch.allowed = before.unknown
     best, chosen, certificates = _designed(batch, search, claim, progress)
-    sensitivity = _sensitivity(batch, best, constraints)
+    sensitivity = _sensitivity(batch, best)
     found = (before, best, tuple(batch.history), certificates, chosen, sensitivity)
     return Tuning(study, names, objective, constraints, runs, seed, confidence, *found)
 
@@ -142,11 +144,11 @@ def _designed(
     batch: Batch, search: Search, claim: Claim, progress: Progress | None
 ) -> tuple[Evaluation, Certificate | None, tuple[Certificate, ...]]:
     """One design after the other until one is certified: the choice, its certificate, and all certificates."""
-    constraints, seed, certificates = batch.constraints, batch.seed, []
+    seed, certificates = batch.seed, []
     best, chosen = None, None
     for attempt in range(claim.designs):
         batch.attempt, batch.seed = attempt, seed + 2 * attempt
-        batch.constraints = tuple(_tightened(constraint, 0.9**attempt) for constraint in constraints)
+        batch.inside = 1.0 - _TIGHTER**attempt
         candidates = _candidates(batch, search)
         if not claim.runs:
             return candidates[0], None, ()
@@ -154,7 +156,7 @@ def _designed(
             batch.study,
             [(each.gains, each.objective) for each in candidates],
             batch.objective,
-            constraints,
+            batch.constraints,
             runs=claim.runs,
             seed=seed + 2 * attempt + 1,
             risk=claim.risk,
@@ -209,19 +211,13 @@ def _has_maximum(batch: Batch) -> bool:
     return any(term.statistic in ("worst", "least") for part in parts for term in part.terms)
 
 
-def _tightened(constraint: Constraint, factor: float) -> Constraint:
-    """The bound moved inside by a part of itself."""
-    inside = constraint.side * (1.0 - factor) * (abs(constraint.bound) or 1.0)
-    return dataclasses.replace(constraint, bound=constraint.bound - inside)
-
-
 def _infeasible(batch: Batch, nearest: Evaluation) -> str:
     """Which constraints fail at the point that lacks least, and by how much."""
     gains = ", ".join(f"{name} = {value:.4g}" for name, value in nearest.gains.items())
     lacks = [
-        f"`{constraint}` by {100 * excess:.3g} % of its bound"
-        for constraint, excess in zip(batch.constraints, nearest.excess, strict=True)
-        if not excess <= 1e-6
+        f"`{constraint}` by {100 * lack:.3g} % of its bound"
+        for constraint, lack in zip(batch.constraints, nearest.lacks, strict=True)
+        if not lack <= KEPT
     ]
     if nearest.unknown > nearest.allowed:
         lacks.append(
@@ -250,12 +246,11 @@ def _check_metrics(batch: Batch) -> None:
         )
 
 
-def _sensitivity(batch: Batch, best: Evaluation, constraints: tuple[Constraint, ...]) -> np.ndarray:
+def _sensitivity(batch: Batch, best: Evaluation) -> np.ndarray:
     """Relative derivatives of objective and constrained figures at the best gains, by relative change of each gain."""
-    there = dataclasses.replace(batch, constraints=constraints, tell=None, history=[])
+    constraints, there = batch.constraints, dataclasses.replace(batch, tell=None, history=[])
     v = batch.box.place(best.gains)
     made, values, slopes = there.differentiate(v, 0.0, best.start)
-    batch.spent = there.spent
     bounds = np.array([constraint.bound for constraint in constraints])
     sides = np.array([constraint.side for constraint in constraints])
     scales = np.abs(np.where(bounds == 0.0, 1.0, bounds)) if len(bounds) else np.empty(0)

@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
@@ -20,8 +21,6 @@ from qsmc_jax.verification.statistics import clopper_pearson, runs_needed
 
 # A test looks at its runs when it has 1, 2 and 4 times as many as show the claim if none of them is violated.
 _LOOKS = (1, 2, 4)
-# Ends further apart than this are bisected in the logarithm.
-_DECADE = 10.0
 
 # The runs of given indices at one value, counted by their verdict.
 CountRuns: TypeAlias = Callable[[float, range], Counter[Verdict]]
@@ -152,7 +151,7 @@ def search(
     if side is None or not is_bracketed:
         return side, tuple(tests)
     shown, other = ends if side == "largest" else ends[::-1]
-    is_geometric = ends[0] > 0.0 and ends[1] > _DECADE * ends[0]
+    is_geometric = spans_decade(*ends)
     for number in range(2, plan.tests):
         middle = float(np.sqrt(shown) * np.sqrt(other)) if is_geometric else 0.5 * (shown + other)
         if not min(shown, other) < middle < max(shown, other):

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, new_figure
+from qsmc_jax.base.scales import spans_decade
 
 if TYPE_CHECKING:
     from qsmc_jax.verification.critical_result import CriticalValue
@@ -35,7 +36,7 @@ def plot_critical(result: "CriticalValue") -> Any:
     if result.shown is not None:
         ax.axvline(result.shown, color=GREEN, ls=":", label=f"{result.side} shown: {result.shown:.4g}")
     low, high = result.between
-    if low > 0.0 and high > 10.0 * low:
+    if spans_decade(low, high):
         ax.set_xscale("log")
     ax.set_yscale("symlog", linthresh=result.below)
     label = f"probability of leaving the funnel (linear below {result.below:g})"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, new_figure
+from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.verification.statistics import zero_failure_bound
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ def _is_geometric(values: np.ndarray) -> bool:
 
 def _spans_decades(values: np.ndarray) -> bool:
     known = values[np.isfinite(values)]
-    return bool(known.min() > 0.0 and known.max() > 10.0 * known.min())
+    return spans_decade(known.min(), known.max())
 
 
 def _level(least: float) -> float | None:
