@@ -71,10 +71,12 @@ def compared():
     return qj.compare(studies, 64, block=64, metrics=("peak_ratio", "peak_u", "excess_variation_u"))
 
 
+@pytest.mark.slow
 def test_the_compared_controllers_are_judged_by_the_same_funnel_and_keep_it(compared):
     assert [study.violated + study.undecided for study in compared.studies] == [0] * 8
 
 
+@pytest.mark.slow
 def test_the_sign_law_chatters_a_million_times_as_much(compared):
     """It flips by 2 K at nearly every sample of 8.5 s: K = 14.1, every millisecond. The law's own is below 0.1."""
     ratio = compared["sign law"].ratios["excess_variation_u"]
@@ -84,12 +86,14 @@ def test_the_sign_law_chatters_a_million_times_as_much(compared):
     assert abs(compared["quasi-sliding mode"].medians["excess_variation_u"].median) < 0.1
 
 
+@pytest.mark.slow
 def test_super_twisting_is_between_and_more_accurate(compared):
     sliding, twisting = compared["quasi-sliding mode"], compared["super-twisting"]
     assert 10.0 < twisting.medians["excess_variation_u"].median < 1e3
     assert twisting.medians["peak_ratio"].high < sliding.medians["peak_ratio"].low
 
 
+@pytest.mark.slow
 def test_the_laws_with_a_pole_ask_for_the_same_input(compared):
     for name in ("prescribed performance", "funnel control"):
         ratio = compared[name].ratios["peak_u"]

@@ -45,7 +45,11 @@ def rms(rho):
 
 @pytest.mark.parametrize(
     ("method", "options"),
-    [("slsqp", {}), pytest.param("bfgs", {}, marks=SLOW), pytest.param("adam", {"steps": 150}, marks=SLOW)],
+    [
+        pytest.param("slsqp", {}, marks=SLOW),
+        pytest.param("bfgs", {}, marks=SLOW),
+        pytest.param("adam", {"steps": 150}, marks=SLOW),
+    ],
 )
 def test_the_optimum_of_a_closed_form_is_found(method, options):
     known = optimize.minimize_scalar(
