@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools as ft
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -49,7 +49,7 @@ def differentiate(
     """Solves independent runs and differentiates their figures by numbers of the study.
 
     The supremum's derivative is that of the value at its place, which is right wherever the place is unique. Memory in
-    forward mode is that of the runs times one plus the names; in reverse mode some 3 MB a run solved at the same time.
+    forward mode is that of the runs times twice the names; in reverse mode some 3 MB a run solved at the same time.
     The gradient of a run with more steps than reverse mode can keep is not known, rather than wrong.
 
     Args:
@@ -101,7 +101,6 @@ class _Block:
     ) -> tuple[Array, Array, Array, Array]:
         settings = SolverSettings(rtol, atol, **dict(self.choices))
         at = jnp.stack([values[name] for name in self.names])
-        mode = jax.jacfwd if settings.adjoint == "forward" else jax.jacrev
 
         def figures(
             at: Float[Array, " names"], point: Float[Array, " dim"]
@@ -112,5 +111,27 @@ class _Block:
             chosen = jnp.stack([columns[metric] for metric in self.metrics])
             return chosen, (chosen, made.verdict, made.steps)
 
-        jacobian, (chosen, verdict, steps) = jax.vmap(ft.partial(mode(figures, has_aux=True), at))(points)
+        mode = _forward if settings.adjoint == "forward" else _reverse
+        jacobian, (chosen, verdict, steps) = mode(figures, at, points)
         return chosen, jacobian, verdict, steps
+
+
+def _reverse(figures: Callable[..., Any], at: Float[Array, " names"], points: Float[Array, "lanes dim"]) -> Any:
+    return jax.vmap(ft.partial(jax.jacrev(figures, has_aux=True), at))(points)
+
+
+def _forward(figures: Callable[..., Any], at: Float[Array, " names"], points: Float[Array, "lanes dim"]) -> Any:
+    """A lane for each run and name: all numbers then have one shape, which XLA compiles to a third of the time.
+
+    Tangents beside a run's own numbers, as `jacfwd` has them, make it work out the latter anew for each.
+    """
+
+    def along(point: Float[Array, " dim"], direction: Float[Array, " names"]) -> tuple[Array, Any]:
+        _, slopes, rest = jax.jvp(lambda at: figures(at, point), (at,), (direction,), has_aux=True)
+        return slopes, rest
+
+    count, names = len(points), len(at)
+    directions = jnp.tile(jnp.eye(names), (count, 1))
+    slopes, rest = jax.vmap(along)(jnp.repeat(points, names, axis=0), directions)
+    jacobian = jnp.swapaxes(slopes.reshape(count, names, -1), 1, 2)
+    return jacobian, jax.tree.map(lambda leaf: leaf[::names], rest)
