@@ -83,6 +83,9 @@ class Verification:
         steps: Solver steps of all runs together.
         occupancy: Part of the solver's work that was not waiting for the slowest run of a block.
         solve_seconds: Time of solving, without compilation [s].
+        is_anytime: Whether the intervals hold at all numbers of runs at once, as they must where one looked before
+            stopping; else they are exact for this number.
+        decision: What the stopping rule said; None without one, or if it said nothing.
     """
 
     study: Study
@@ -101,6 +104,8 @@ class Verification:
     steps: int
     occupancy: float
     solve_seconds: float
+    is_anytime: bool = False
+    decision: str | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -119,6 +124,8 @@ class Verification:
             "runs": self.runs,
             "seed": self.seed,
             "confidence": self.confidence,
+            "interval": "confidence sequence" if self.is_anytime else "Clopper-Pearson",
+            "decision": self.decision,
             "bandwidth": float(self.study.bandwidth),
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": [{**dataclasses.asdict(claim), "verdict": claim.verdict.name} for claim in self.claims],
@@ -136,7 +143,7 @@ class Verification:
         """The finding in a sentence or two that can be quoted."""
         funnel = self.claims[0]
         admitted = funnel.held + funnel.violated + funnel.undecided
-        sure = f"with {100 * self.confidence:g} % confidence"
+        sure = f"with {100 * self.confidence:g} % confidence" + (" at any time" if self.is_anytime else "")
         interval = f"the probability of leaving the funnel lies in [{funnel.low:.3g}, {funnel.high:.3g}] {sure}"
         if self.verdict == Verdict.VIOLATED:
             reasons = {Outcome(int(code)).advice for code in self.worst["outcome"] if code != Outcome.COMPLETED}
@@ -175,4 +182,6 @@ class Verification:
             counts = f"{c.held:9d}{c.violated:10d}{c.undecided:11d}{c.inadmissible:14d}"
             rows.append(f"{c.name:10}{counts}   [{c.low:.3g}, {c.high:.3g}]")
         rows.append(self.conclusion())
+        if self.decision:
+            rows.append(f"Stopped after {self.runs} runs: {self.decision}.")
         return "\n".join(rows)

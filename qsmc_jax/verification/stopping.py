@@ -1,0 +1,103 @@
+"""Rules by which a verification stops before its last run; each is valid however often one looks."""
+
+import abc
+import dataclasses
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.verification.anytime import confidence_sequence, sequential_test
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractRule(abc.ABC):
+    """When to stop. Looked at after each block of runs, in the order of the blocks, never within one."""
+
+    @abc.abstractmethod
+    def decision(self, violated: int, undecided: int, total: int, confidence: float) -> str | None:
+        """What can be said of the funnel claim, or None while it is to go on.
+
+        Args:
+            violated: Runs that left the funnel.
+            undecided: Runs without a verdict.
+            total: Runs so far, without the inadmissible.
+            confidence: Confidence of what is said.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class UntilWidth(AbstractRule):
+    """Stops when the interval of the violation probability is no wider than this.
+
+    Attributes:
+        width: Difference of its ends, strictly between 0 and 1.
+    """
+
+    width: float
+
+    def __post_init__(self):
+        _require_fraction("width", self.width)
+
+    def decision(self, violated: int, undecided: int, total: int, confidence: float) -> str | None:
+        low, high = confidence_sequence(violated, undecided, total, confidence)
+        return f"the interval is no wider than {self.width:g}" if high - low <= self.width else None
+
+
+@dataclasses.dataclass(frozen=True)
+class UntilBelow(AbstractRule):
+    """Stops when the violation probability is known to be at most this, or to be above.
+
+    Attributes:
+        probability: What is to be shown, strictly between 0 and 1.
+    """
+
+    probability: float
+
+    def __post_init__(self):
+        _require_fraction("probability", self.probability)
+
+    def decision(self, violated: int, undecided: int, total: int, confidence: float) -> str | None:
+        low, high = confidence_sequence(violated, undecided, total, confidence)
+        if high <= self.probability:
+            return f"the violation probability is at most {self.probability:g}"
+        return f"the violation probability is above {self.probability:g}" if low > self.probability else None
+
+
+@dataclasses.dataclass(frozen=True)
+class SequentialTest(AbstractRule):
+    """Wald's sequential probability ratio test with an indifference region; each error has the risk 1 - confidence.
+
+    Attributes:
+        probability: p0, that is to be refuted, strictly between 0 and 1.
+        alternative: p1, strictly between 0 and p0; between the two either answer is right.
+    """
+
+    probability: float
+    alternative: float
+
+    def __post_init__(self):
+        _require_fraction("probability", self.probability)
+        require(
+            0.0 < self.alternative < self.probability,
+            f"Argument `alternative` must lie strictly between 0 and {self.probability:g}, but is {self.alternative}.",
+        )
+
+    def decision(self, violated: int, undecided: int, total: int, confidence: float) -> str | None:
+        require(confidence > 0.5, f"Argument `confidence` of a sequential test must be above 0.5, but is {confidence}.")
+        bounds = self.probability, self.alternative, 1.0 - confidence
+        if sequential_test(violated + undecided, total, *bounds) >= 1.0:
+            return f"the test accepts that the violation probability is below {self.probability:g}"
+        if sequential_test(violated, total, *bounds) <= -1.0:
+            return f"the test accepts that the violation probability is above {self.alternative:g}"
+        return None
+
+
+def decision_of(rule: AbstractRule | None, counts: dict[Verdict, int], confidence: float) -> str | None:
+    """What the rule says of the counts of the funnel claim; None without a rule."""
+    if rule is None:
+        return None
+    violated, undecided = counts[Verdict.VIOLATED], counts[Verdict.UNDECIDED]
+    return rule.decision(violated, undecided, violated + undecided + counts[Verdict.HELD], confidence)
+
+
+def _require_fraction(name: str, value: float) -> None:
+    require(0.0 < value < 1.0, f"Argument `{name}` of a stopping rule must lie in (0, 1), but is {value}.")
