@@ -6,7 +6,9 @@ from typing import Annotated
 import typer
 
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Python file that defines `study`.")]
-StudiesFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Python file that defines `studies`, by name.")]
+StudiesFile = Annotated[
+    Path, typer.Argument(metavar="STUDY|RUN", help="Python file that defines `studies`, by name; or a run folder.")
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Option(

@@ -124,7 +124,10 @@ def find_critical(
 
 
 def compare_studies(
-    studies_file: StudiesFile,
+    studies_file: Annotated[
+        Path, typer.Argument(metavar="STUDY|RUN", help="File that defines `studies`, or a run folder.")
+    ],
+    other: Annotated[Path | None, typer.Argument(metavar="RUN", help="Another run folder.")] = None,
     runs: Annotated[int, typer.Option(help="Runs of each study, on the same random numbers.")] = 1000,
     seed: Seed = 0,
     confidence: Together = 0.95,
@@ -138,14 +141,21 @@ def compare_studies(
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
-    """Compare the studies of a file, such as one loop under several controllers, run by run.
+    """Compare the studies of a file, such as one loop under several controllers, run by run; or two run folders.
 
     Exit codes: 0 done, 2 bad input, 3 interrupted.
     """
     with session(cache):
+        from qsmc_jax.campaign.contrast import contrast
+        from qsmc_jax.campaign.folder import RunFolder
+        from qsmc_jax.report.folder import to_json
         from qsmc_jax.simulation.settings import SolverSettings
         from qsmc_jax.verification.comparison import compare
 
+        if other is not None:
+            found = contrast(RunFolder.open(studies_file), RunFolder.open(other))
+            say(to_json(found.summary()) if as_json else str(found))
+            return
         studies = load_studies(studies_file, overrides or [])
         settings = SolverSettings(rtol=rtol, max_steps=max_steps)
 

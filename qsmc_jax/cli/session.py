@@ -1,6 +1,7 @@
 """What every command runs in: bad input and interruptions end in one sentence and an exit code."""
 
 import contextlib
+import warnings
 from collections.abc import Iterator
 
 import typer
@@ -17,10 +18,13 @@ def session(cache: bool) -> Iterator[None]:
     if cache:
         keep_compiled_programs()
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", UserWarning)
+            warnings.showwarning = lambda message, *_: say(f"qsmc: {message}", is_error=True)
+            yield
     except ValueError as error:
         say(f"qsmc: {error}", is_error=True)
         raise typer.Exit(BAD_INPUT) from None
     except KeyboardInterrupt:
-        say("qsmc: interrupted; nothing was written.", is_error=True)
+        say("qsmc: interrupted; nothing half-done was kept.", is_error=True)
         raise typer.Exit(UNDECIDED) from None

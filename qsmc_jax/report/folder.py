@@ -1,4 +1,4 @@
-"""A result folder that appears whole or not at all, and the Parquet file in it."""
+"""A result folder that appears whole or not at all."""
 
 import json
 import shutil
@@ -12,7 +12,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.study.runs import Runs
 
 
 class ResultFolder:
@@ -37,7 +36,6 @@ class ResultFolder:
             raise ValueError(
                 f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error}."
             ) from None
-        self._writer: pq.ParquetWriter | None = None
 
     def __enter__(self) -> "ResultFolder":
         return self
@@ -45,15 +43,7 @@ class ResultFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._close()
         shutil.rmtree(self._temporary, ignore_errors=True)
-
-    def add_rows(self, table: Runs) -> None:
-        """Appends rows to `runs.parquet`."""
-        rows = pa.table(dict(table.columns))
-        if self._writer is None:
-            self._writer = pq.ParquetWriter(self._temporary / "runs.parquet", rows.schema, compression="zstd")
-        self._writer.write_table(rows)
 
     def add_table(self, name: str, columns: Mapping[str, Any]) -> None:
         """Writes a table of NumPy columns as one Parquet file."""
@@ -69,14 +59,8 @@ class ResultFolder:
 
     def commit(self) -> None:
         """Gives the folder its name."""
-        self._close()
         self._temporary.chmod(0o755)
         self._temporary.rename(self.path)
-
-    def _close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
 
 
 def to_json(content: Mapping[str, Any]) -> str:

@@ -1,0 +1,101 @@
+"""Block files: rows of consecutive runs as Parquet, never changed, named for their range and the hash of their bytes.
+
+`blocks/000000000000-000000016384-0123456789abcdef.parquet` has the rows 0 ... 16383. Whoever solves the same runs
+writes the same bytes to the same name, so that a block delivered twice does no harm, and a byte that changed is
+noticed.
+"""
+
+import dataclasses
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from qsmc_jax.campaign.atomic import write_whole
+from qsmc_jax.campaign.columns import described
+from qsmc_jax.study.draw import DrawSpec
+from qsmc_jax.study.runs import Runs
+
+_NAME = re.compile(r"(\d{12})-(\d{12})-([0-9a-f]{16})\.parquet")
+_KEY = b"qsmc_jax"
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class BlockFile:
+    """A block file, by its name.
+
+    Attributes:
+        start: Its first run.
+        stop: The run after its last.
+        path: Where it is.
+    """
+
+    start: int
+    stop: int
+    path: Path
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether its bytes are those that were written."""
+        named = _NAME.fullmatch(self.path.name)
+        return named is not None and named[3] == _hash(self.path.read_bytes())
+
+    def read(self) -> Runs:
+        """Its rows, in order."""
+        table = pq.read_table(self.path)
+        about = json.loads((table.schema.metadata or {})[_KEY])
+        return Runs({name: table[name].to_numpy() for name in table.column_names}, tuple(about["names"]))
+
+    def about(self) -> dict[str, Any]:
+        """What was written of the block besides: how many runs climbed the ladder, and the defects."""
+        return json.loads((pq.read_schema(self.path).metadata or {})[_KEY])
+
+
+def write_block(folder: Path, table: Runs, about: dict[str, Any], specs: tuple[DrawSpec, ...]) -> BlockFile:
+    """Writes rows of consecutive runs.
+
+    Args:
+        folder: Where block files are.
+        table: The rows, in order.
+        about: What to write besides, plain numbers; equal for equal rows.
+        specs: The drawn names.
+
+    Returns:
+        The file.
+    """
+    rows = pa.table(dict(table.columns))
+    schema = described(rows.schema, specs).with_metadata({_KEY: json.dumps({"names": table.names, **about})})
+    sink = pa.BufferOutputStream()
+    pq.write_table(rows.cast(schema), sink, compression="zstd")
+    content = sink.getvalue().to_pybytes()
+    start, stop = int(table["index"][0]), int(table["index"][-1]) + 1
+    path = folder / f"{start:012d}-{stop:012d}-{_hash(content)}.parquet"
+    write_whole(path, content)
+    return BlockFile(start, stop, path)
+
+
+def block_files(folder: Path) -> list[BlockFile]:
+    """The block files in a folder, by their range, the longest of equal start first."""
+    named = [(path, _NAME.fullmatch(path.name)) for path in folder.iterdir()]
+    found = [BlockFile(int(name[1]), int(name[2]), path) for path, name in named if name is not None]
+    return sorted(found, key=lambda file: (file.start, -file.stop, file.path))
+
+
+def gaps(files: list[BlockFile], start: int, stop: int) -> list[range]:
+    """What of the runs start ... stop - 1 none of the files has."""
+    missing, reached = [], start
+    for file in sorted(files):
+        if file.start >= stop:
+            break
+        if file.start > reached:
+            missing.append(range(reached, file.start))
+        reached = max(reached, file.stop)
+    return [*missing, range(reached, stop)] if reached < stop else missing
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]

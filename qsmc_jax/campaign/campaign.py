@@ -1,0 +1,237 @@
+"""A verification that lasts: blocks of rows in a run folder, gone on with where it stopped."""
+
+import dataclasses
+import functools as ft
+from collections.abc import Callable, Generator, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.campaign.engines import AbstractEngine, Task, Threads
+from qsmc_jax.campaign.folder import FILE_RUNS, RunFolder
+from qsmc_jax.campaign.recipe import Recipe
+from qsmc_jax.study.monte_carlo import Progress, stream
+from qsmc_jax.study.runs import Runs
+from qsmc_jax.verification.evidence import Effort, Evidence
+from qsmc_jax.verification.result import Verification
+from qsmc_jax.verification.stopping import AbstractRule, decision_of
+
+# By how much a row solved again may differ where rounding does, in units of the relative tolerance.
+_AGREEMENT = 1e3
+
+
+def prepare(
+    path: Path,
+    recipe: Recipe,
+    *,
+    study_file: str = "study.py",
+    file_runs: int = FILE_RUNS,
+    provenance: Mapping[str, Any] | None = None,
+) -> RunFolder:
+    """The run folder of a campaign: made, or opened if it is the same study's.
+
+    Args:
+        path: The folder.
+        recipe: What decides its rows.
+        study_file: The study's file, as the user named it.
+        file_runs: Runs in each block file of a new folder, at least 1.
+        provenance: Versions, machine and time, plain values.
+
+    Raises:
+        ValueError: The folder belongs to another study (the keys that differ are named) or holds something else.
+    """
+    folder = RunFolder(path)
+    if not folder.exists:
+        return RunFolder.create(path, recipe, study_file, file_runs, provenance or {})
+    RunFolder.open(path).check(recipe)
+    return folder
+
+
+def run_campaign(
+    folder: RunFolder,
+    recipe: Recipe,
+    runs: int,
+    confidence: float = 0.95,
+    *,
+    worst: int = 5,
+    until: AbstractRule | None = None,
+    engine: AbstractEngine | None = None,
+    progress: Progress | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
+    provenance: Mapping[str, Any] | None = None,
+) -> Verification | None:
+    """Solves what is missing of the first `runs` runs, and verifies by all of them.
+
+    Rows are those of `verify`, whoever solves them and however often it was interrupted. A stopping rule looks after
+    each block, in the order of the blocks. Intervals hold at any time once a rule, or a second number of runs, shows
+    that somebody may have looked before deciding how many.
+
+    Args:
+        folder: The run folder; see `prepare`.
+        recipe: How to solve runs; the folder's own.
+        runs: How many, at least 1; fewer than there are report on the first ones.
+        confidence: Confidence of each interval, strictly between 0 and 1.
+        worst: How many of the worst runs to report, at least 1.
+        until: When to stop before.
+        engine: Who solves; None for the threads of this process.
+        progress: Called as `progress(done, runs)` after each block.
+        should_stop: Asked after each block; the block in hand is finished and written.
+        provenance: Versions, machine and time, for the note of this session.
+
+    Returns:
+        The verification; None if it was told to stop.
+
+    Raises:
+        ValueError: An argument is out of range, or a file can't be written, or the study gives other rows than the
+            folder has.
+    """
+    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
+    require(worst >= 1, f"Argument `worst` must be at least 1, but is {worst}.")
+    is_anytime = folder.ask_for(runs, until is not None)
+    evidence, session = Evidence(recipe.study, worst, recipe.block), folder.begin_session(provenance or {})
+    state, decision = "interrupted", None
+    blocks = Blocks(folder, recipe, runs)
+    solving = blocks.solved(engine or Threads(), session)
+    try:
+        for done in blocks.in_order(solving):
+            for table in folder.tables(evidence.runs, done):
+                evidence.add(table)
+            if progress is not None:
+                progress(done, runs)
+            decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
+            if decision is not None or (done < runs and should_stop()):
+                break
+        state = "done" if decision is not None or evidence.runs >= runs else "interrupted"
+    finally:
+        solving.close()
+        if session.runs or state == "interrupted":
+            session.write(state)
+    if state != "done":
+        return None
+    solve = ft.partial(stream, recipe.study, seed=recipe.seed, block=recipe.block, threads=recipe.threads)
+    about = {"seed": recipe.seed, "confidence": confidence, "settings": recipe.settings}
+    effort = _effort(folder, evidence.runs)
+    return evidence.conclude(solve, effort, **about, is_anytime=is_anytime, decision=decision)
+
+
+def work_shard(
+    folder: RunFolder,
+    recipe: Recipe,
+    shard: int,
+    shards: int,
+    *,
+    progress: Progress | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
+    provenance: Mapping[str, Any] | None = None,
+) -> bool:
+    """Solves every `shards`-th block that is missing, from block number `shard` on, and writes it to the folder.
+
+    Args:
+        folder: The run folder, shared by all workers.
+        recipe: How to solve runs; the folder's own.
+        shard: Which of the shards, 0 <= shard < shards.
+        shards: How many there are.
+        progress: Called as `progress(done, runs)` after each block, with the runs of all shards.
+        should_stop: Asked after each block.
+        provenance: Versions, machine and time.
+
+    Returns:
+        Whether it came to the end.
+    """
+    require(0 <= shard < shards, f"Argument `shard` must be i/n with 0 <= i < n, but is {shard}/{shards}.")
+    asked_for = folder.manifest["asked_for"]
+    require(bool(asked_for), f"Folder `{folder.path}` has no runs asked for: prepare it with `qsmc verify --prepare`.")
+    folder.check(recipe)
+    session, runs = folder.begin_session(provenance or {}), max(asked_for)
+    blocks = Blocks(folder, recipe, runs)
+    solving = blocks.solved(Threads(), session, lambda number: number % shards == shard)
+    for number in solving:
+        if progress is not None:
+            progress(min((number + 1) * blocks.size, runs), runs)
+        if should_stop():
+            solving.close()
+            session.write("interrupted")
+            return False
+    session.write("done")
+    return True
+
+
+@dataclasses.dataclass
+class Blocks:
+    """The blocks of a campaign.
+
+    Attributes:
+        folder: Where they are.
+        recipe: How to solve them.
+        runs: Runs of all together.
+    """
+
+    folder: RunFolder
+    recipe: Recipe
+    runs: int
+
+    def __post_init__(self):
+        self.size = int(self.folder.manifest["file_runs"])
+        self._is_probed = False
+
+    def solved(
+        self, engine: AbstractEngine, session: Any, is_mine: Callable[[int], bool] = lambda _: True
+    ) -> Generator[int, None, None]:
+        """Numbers of blocks, each once all of its rows are in the folder, in any order."""
+        for task, parts in engine.solve(self.recipe, self._tasks(is_mine)):
+            for solved in parts:
+                self.folder.add(solved, self.recipe.study.specs)
+                session.add(solved)
+            yield task.number
+
+    def in_order(self, numbers: Iterator[int]) -> Iterator[int]:
+        """The run after each block, in the order of the blocks, once it and all before it are there."""
+        ready, following = set(), 0
+        for number in numbers:
+            ready.add(number)
+            while following in ready:
+                following += 1
+                yield min(following * self.size, self.runs)
+
+    def _tasks(self, is_mine: Callable[[int], bool]) -> Iterator[Task]:
+        """Every block with what is missing of it now, so that what another worker has just done is not done again."""
+        for number in range(-(-self.runs // self.size)):
+            if is_mine(number):
+                start, stop = number * self.size, min((number + 1) * self.size, self.runs)
+                missing = self.folder.missing(start, stop)
+                if missing:
+                    self._probe()
+                yield Task(number, tuple(missing))
+
+    def _probe(self) -> None:
+        """Raises unless the study gives the rows that the folder has: a module that it imports may have changed."""
+        if self._is_probed:
+            return
+        self._is_probed = True
+        for table in self.folder.tables():
+            there = table.take(slice(self.recipe.block))
+            index = there["index"]
+            _require_equal(there, self.recipe.solve(range(int(index[0]), int(index[-1]) + 1)).rows, self)
+            break
+
+
+def _require_equal(there: Runs, now: Runs, blocks: Blocks) -> None:
+    tolerance = _AGREEMENT * float(blocks.recipe.settings.rtol)
+    for column in (*there.names, "peak_ratio"):
+        is_same = column in now and np.allclose(there[column], now[column], rtol=tolerance, atol=1e-9, equal_nan=True)
+        require(
+            bool(is_same),
+            f"Folder `{blocks.folder.path}` has other rows than the study gives now: column `{column}` differs. Did a "
+            "module that the study imports change, or a version? Go on as it was, or begin beside it with --fresh.",
+        )
+
+
+def _effort(folder: RunFolder, runs: int) -> Effort:
+    """What all sessions together spent."""
+    sessions = folder.sessions()
+    steps, paid = (sum(each[name] for each in sessions) for name in ("steps", "paid"))
+    seconds = sum(each["seconds"] for each in sessions)
+    return Effort(**folder.effort(runs), occupancy=steps / paid if paid else 1.0, seconds=seconds)

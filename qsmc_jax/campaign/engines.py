@@ -1,0 +1,122 @@
+"""Who solves what is missing of a campaign: this process, or the workers of a Dask cluster. The rows are the same."""
+
+import abc
+import collections
+import dataclasses
+import functools as ft
+from collections.abc import Iterator
+from typing import Any
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.campaign.recipe import Recipe, Solved
+from qsmc_jax.study.study import Study
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """One block.
+
+    Attributes:
+        number: Number of the block.
+        missing: Ranges of runs to be solved; none if the block is whole.
+    """
+
+    number: int
+    missing: tuple[range, ...]
+
+
+class AbstractEngine(abc.ABC):
+    """Solves tasks."""
+
+    @abc.abstractmethod
+    def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
+        """Yields each task with its rows, in any order; takes no more tasks than it can begin with soon.
+
+        Args:
+            recipe: How to solve runs.
+            tasks: What to solve.
+        """
+
+
+class Threads(AbstractEngine):
+    """This process: one block at a time, its pieces over threads."""
+
+    def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
+        for task in tasks:
+            yield task, [recipe.solve(runs) for runs in task.missing]
+
+
+@dataclasses.dataclass
+class Dask(AbstractEngine):
+    """The workers of a Dask cluster; a block that a lost worker held is solved by another.
+
+    Attributes:
+        client: A `distributed.Client`.
+        retries: How often a block that failed is tried again.
+    """
+
+    client: Any
+    retries: int = 2
+
+    def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
+        from distributed import as_completed
+
+        names = [spec.name for spec in recipe.study.specs]
+        values = {name: recipe.study.values[name] for name in names if name in recipe.study.values}
+        order = _Order(recipe.source, values, recipe.seed, recipe.settings, recipe.block, recipe.threads)
+        held: dict[Any, Task] = {}
+        done: collections.deque[tuple[Task, list[Solved]]] = collections.deque()
+        arriving = as_completed()
+        try:
+            while True:
+                for task in tasks:
+                    if not task.missing:
+                        done.append((task, []))
+                    else:
+                        future = self.client.submit(_solve, order, task.missing, pure=False, retries=self.retries)
+                        held[future] = task
+                        arriving.add(future)
+                    if len(held) >= self._ahead():
+                        break
+                while done:
+                    yield done.popleft()
+                if not held:
+                    return
+                future = next(arriving)
+                yield held.pop(future), future.result()
+                future.release()
+        finally:
+            self.client.cancel(list(held))
+
+    def _ahead(self) -> int:
+        """Blocks to be under way: enough to keep every worker busy while rows are on their way."""
+        threads = sum(self.client.nthreads().values())
+        return 2 * max(threads, 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Order:
+    """A recipe that can be sent: the study as text, to be run by the worker."""
+
+    source: str
+    values: dict[str, Any]
+    seed: int
+    settings: Any
+    block: int
+    threads: int | None
+
+
+def _solve(order: _Order, missing: tuple[range, ...]) -> list[Solved]:
+    """What a worker does."""
+    study = _study(order.source).substitute(**order.values)
+    recipe = Recipe(study, order.source, order.seed, order.settings, order.block, order.threads)
+    return [recipe.solve(runs) for runs in missing]
+
+
+@ft.lru_cache(maxsize=4)
+def _study(source: str) -> Study:
+    """The study that a text defines; run once in a worker, so that its programs are compiled once."""
+    names: dict[str, Any] = {"__name__": "qsmc_study"}
+    exec(compile(source, "study.py", "exec"), names)
+    require(isinstance(names.get("study"), Study), "The study's file must define `study`.")
+    return names["study"]

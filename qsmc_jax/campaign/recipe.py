@@ -1,0 +1,111 @@
+"""What decides the rows of a campaign, to the last bit: all of it, and nothing else."""
+
+import ast
+import dataclasses
+import functools as ft
+import hashlib
+import json
+import time
+from typing import Any
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.monte_carlo import BLOCK, stream
+from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.schedule import Workload
+from qsmc_jax.study.study import Study
+from qsmc_jax.verification.decided import through
+from qsmc_jax.verification.ladder import Ladder
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """How to solve any runs of a campaign.
+
+    Attributes:
+        study: The study.
+        source: Text of the file that defines it.
+        seed: Seed of the runs.
+        settings: Method and tolerances of the first solve.
+        block: Runs solved together, a multiple of 64; the rows do not depend on it.
+        threads: Blocks solved at the same time; None for one a core.
+    """
+
+    study: Study
+    source: str
+    seed: int = 0
+    settings: SolverSettings = dataclasses.field(default_factory=SolverSettings)
+    block: int = BLOCK
+    threads: int | None = None
+
+    @ft.cached_property
+    def identity(self) -> dict[str, Any]:
+        """What changes the rows, as plain values by name. The file counts without its comments and its layout."""
+        study, settings = self.study, self.settings
+        code = ast.dump(ast.parse(self.source))
+        parameters = {spec.name: spec.flat_nominal for spec in study.specs if spec.kind == "parameter"}
+        identity = {
+            "study_code": hashlib.sha256(code.encode()).hexdigest(),
+            "parameters": parameters,
+            "values": {name: value.tolist() for name, value in study.values.items()},
+            "bandwidth": float(study.bandwidth),
+            "seed": self.seed,
+            "rtol": float(settings.rtol),
+            "atol": float(settings.atol),
+            "precision": "float64",
+            **dict(settings.choices),
+        }
+        return json.loads(json.dumps(identity))
+
+    def solve(self, runs: range) -> "Solved":
+        """Solves and decides consecutive runs."""
+        begin, workload = time.perf_counter(), Workload()
+        solve = ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
+        ladder = Ladder(solve, self.settings, self.block)
+        tables = list(through(ladder, solve(runs, settings=self.settings, workload=workload)))
+        table = concatenate(tables)
+        rows = table.take(table["index"].argsort())
+        seconds = time.perf_counter() - begin
+        return Solved(rows, tuple(ladder.climbed), tuple(ladder.defects), workload.steps, workload.paid, seconds)
+
+
+@dataclasses.dataclass(frozen=True)
+class Solved:
+    """Rows of consecutive runs, in order, and what they cost.
+
+    Attributes:
+        rows: The rows.
+        climbed: Runs solved again on rung 1, 2 of the ladder.
+        defects: Indices of runs whose peak broke the comparison bound.
+        steps: Solver steps of the first solves.
+        paid: Steps made by all lanes for them.
+        seconds: Time taken [s].
+    """
+
+    rows: Runs
+    climbed: tuple[int, ...]
+    defects: tuple[int, ...]
+    steps: int
+    paid: int
+    seconds: float
+
+
+def fingerprint(identity: dict[str, Any]) -> str:
+    """A short hash of what changes the rows."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def require_same(found: dict[str, Any], asked: dict[str, Any], place: str) -> None:
+    """Raises, with the keys that differ, unless two identities are the same."""
+    differ = [key for key in {**found, **asked} if found.get(key) != asked.get(key)]
+    changes = ", ".join(f"`{key}` ({_short(found.get(key))} there, {_short(asked.get(key))} now)" for key in differ)
+    require(
+        not differ,
+        f"Folder `{place}` belongs to another study: {changes}. Go on with the study as it was, or begin beside it "
+        "with --fresh.",
+    )
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:12] + "..."

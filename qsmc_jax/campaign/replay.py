@@ -1,0 +1,77 @@
+"""One run of a campaign again, in full, and held against its recorded row."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.campaign.folder import RunFolder
+from qsmc_jax.campaign.recipe import Recipe
+from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.simulation.trajectory import Trajectory
+from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.verification.summary import worst_first
+
+# By how much the peak may differ from the recorded one, in units of the relative tolerance: another program rounds
+# otherwise, and takes other steps.
+_AGREEMENT = 1e3
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """A run, solved again.
+
+    Attributes:
+        trajectory: The run.
+        row: Its recorded row.
+        agrees: Whether verdict and sup |sigma|/rho are as recorded.
+    """
+
+    trajectory: Trajectory
+    row: dict[str, Any]
+    agrees: bool
+
+    def __str__(self) -> str:
+        recorded = f"{Verdict(self.row['verdict']).name}, sup |sigma|/rho {self.row['peak_ratio']:.9g}"
+        found = f"recorded as run {self.row['index']}: {recorded}; "
+        return f"{self.trajectory}\n{found}{'it agrees' if self.agrees else 'IT DOES NOT AGREE'}"
+
+
+def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | None) -> Replay:
+    """Solves a run again.
+
+    Args:
+        folder: The run folder.
+        recipe: Its recipe.
+        index: Index of the run; or else
+        worst: which of the worst runs, from 1.
+
+    Raises:
+        ValueError: Not exactly one of the two is given, or there is no such row.
+    """
+    require((index is None) != (worst is None), "One of `--run` and `--worst` must say which run.")
+    row = _row(folder, index) if index is not None else _worst(folder, worst or 0)
+    trajectory = recipe.study.replay(row["index"], recipe.seed, settings=recipe.settings)
+    figures = trajectory.figures
+    close = 1e-9 + _AGREEMENT * float(recipe.settings.rtol)
+    is_near = bool(np.isclose(float(figures.peak_ratio), row["peak_ratio"], rtol=close, equal_nan=True))
+    # A run that climbed the ladder was decided at a tighter tolerance than this one.
+    return Replay(trajectory, row, is_near and int(figures.verdict) == row["verdict"])
+
+
+def _row(folder: RunFolder, index: int) -> dict[str, Any]:
+    for table in folder.tables(index, index + 1):
+        if len(table):
+            return table.row(0)
+    raise ValueError(f"Argument `--run` must be a run that is there, but `{folder.path}` has no row {index}.")
+
+
+def _worst(folder: RunFolder, rank: int) -> dict[str, Any]:
+    require(rank >= 1, f"Argument `--worst` must be at least 1, but is {rank}.")
+    kept: list[Runs] = []
+    for table in folder.tables():
+        candidates = concatenate([*kept, table])
+        kept = [candidates.take(worst_first(candidates)[:rank])]
+    require(bool(kept) and len(kept[0]) >= rank, f"Argument `--worst` is {rank}, but `{folder.path}` has fewer rows.")
+    return kept[0].row(rank - 1)

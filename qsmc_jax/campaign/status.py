@@ -1,0 +1,68 @@
+"""How far a campaign is, read from its folder."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from qsmc_jax.campaign.blocks import block_files, gaps
+from qsmc_jax.campaign.folder import RunFolder
+
+
+@dataclasses.dataclass(frozen=True)
+class Status:
+    """How far a campaign is.
+
+    Attributes:
+        place: The folder.
+        study_file: The study, as the user named it.
+        fingerprint: What decides the rows, as a short hash.
+        solved: Runs whose rows are there.
+        asked_for: Runs asked for.
+        damaged: Files whose bytes are not those that were written.
+        sessions: Notes of the sessions, the oldest first.
+        verdict: The verdict, once there is a summary.
+    """
+
+    place: str
+    study_file: str
+    fingerprint: str
+    solved: int
+    asked_for: int
+    damaged: tuple[str, ...]
+    sessions: tuple[Mapping[str, Any], ...]
+    verdict: str | None
+
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain values."""
+        return dataclasses.asdict(self)
+
+    def __str__(self) -> str:
+        share = f" ({100 * self.solved / self.asked_for:.3g} %)" if self.asked_for else ""
+        lines = [
+            f"{self.place}: {self.solved} of {self.asked_for} runs{share}, verdict {self.verdict or 'not yet known'}",
+            f"study {self.study_file}, fingerprint {self.fingerprint}",
+            *(f"damaged, to be solved again: {name}" for name in self.damaged),
+        ]
+        for each in self.sessions:
+            rate = f", {each['runs'] / each['seconds']:.0f} runs/s" if each["seconds"] else ""
+            began, updated = each["began"][:19], each["updated"][:19]
+            lines.append(f"session from {began}: {each['runs']} runs{rate}, {each['state']} at {updated}")
+        return "\n".join(lines)
+
+
+def status_of(folder: RunFolder) -> Status:
+    """Reads the folder; nothing is changed."""
+    manifest, files = folder.manifest, block_files(folder.path / "blocks")
+    asked_for = max(manifest["asked_for"], default=0)
+    sound = [file for file in files if file.is_sound]
+    has_summary = (folder.path / "summary.json").is_file()
+    return Status(
+        place=str(folder.path),
+        study_file=manifest["study_file"],
+        fingerprint=manifest["fingerprint"],
+        solved=asked_for - sum(map(len, gaps(sound, 0, asked_for))),
+        asked_for=asked_for,
+        damaged=tuple(file.path.name for file in files if file not in sound),
+        sessions=tuple(folder.sessions()),
+        verdict=folder.read_json("summary.json")["verdict"] if has_summary else None,
+    )

@@ -1,0 +1,47 @@
+"""From what the user names to what decides the rows of a campaign."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from qsmc_jax.base.checks import require
+from qsmc_jax.cli.study_file import load_study
+
+if TYPE_CHECKING:
+    from qsmc_jax.campaign.folder import RunFolder
+    from qsmc_jax.campaign.recipe import Recipe
+
+
+def recipe_of(study_file: Path, overrides: list[str], **options: Any) -> "Recipe":
+    """The recipe of a study file; `options` are those of `Recipe`."""
+    from qsmc_jax.campaign.recipe import Recipe
+
+    return Recipe(load_study(study_file, overrides), study_file.read_text(encoding="utf-8"), **options)
+
+
+def recipe_again(folder: "RunFolder", study_file: Path | None, **options: Any) -> "Recipe":
+    """The recipe that a run folder was made by.
+
+    It runs the study file that the folder was made from, where it was named then, or the one named now; the copy in the
+    folder is run only if it is named.
+
+    Raises:
+        ValueError: There is no such file, or it is no longer the same study.
+    """
+    from qsmc_jax.campaign.recipe import Recipe
+    from qsmc_jax.simulation.settings import SolverSettings
+
+    manifest = folder.manifest
+    identity, named = manifest["identity"], study_file or Path(manifest["study_path"])
+    is_inside = folder.path.resolve() in named.resolve().parents
+    require(
+        named.is_file() and not (is_inside and study_file is None),
+        f"The study of `{folder.path}` was `{named}`, which is not there. Name the file by --study. A copy of it, to "
+        f"be run if you trust it, is `{folder.path / 'study.py'}`.",
+    )
+    settings = SolverSettings(identity["rtol"], identity["atol"])
+    settings = settings.replace(**{name: identity[name] for name, _ in settings.choices if name in identity})
+    study = load_study(named, []).substitute(**identity["values"])
+    source = named.read_text(encoding="utf-8")
+    recipe = Recipe(study, source, int(identity["seed"]), settings, **options)
+    folder.check(recipe)
+    return recipe

@@ -1,0 +1,228 @@
+"""The command `qsmc verify`: at once, or as a campaign in a run folder that can be gone on with."""
+
+import contextlib
+import dataclasses
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.interrupts import finishing
+from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.recipes import recipe_of
+from qsmc_jax.cli.session import UNDECIDED, session
+
+if TYPE_CHECKING:
+    from qsmc_jax.campaign.folder import RunFolder
+    from qsmc_jax.campaign.recipe import Recipe
+    from qsmc_jax.verification.result import Verification
+    from qsmc_jax.verification.stopping import AbstractRule
+
+EXIT_CODES = {"HELD": 0, "VIOLATED": 1}
+Scheduler = Annotated[str | None, typer.Option(metavar="tcp://...", help="Dask scheduler whose workers solve.")]
+Workers = Annotated[int | None, typer.Option(help="Dask workers to start on this machine.")]
+
+
+def verify_study(
+    study_file: StudyFile,
+    runs: Annotated[int, typer.Option(help="Number of runs; at most so many with a stopping rule.")] = 10_000,
+    seed: Seed = 0,
+    confidence: Annotated[float, typer.Option(help="Confidence of each interval.")] = 0.95,
+    overrides: Overrides = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; one of the same study is gone on with.")] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Begin in a new folder beside an existing one.")] = False,
+    prepare: Annotated[bool, typer.Option("--prepare", help="Make the run folder for `qsmc worker`, no more.")] = False,
+    until_below: Annotated[float | None, typer.Option(metavar="P", help="Stop once P(violation) <= P or > P.")] = None,
+    until_width: Annotated[float | None, typer.Option(metavar="W", help="Stop once the interval is so narrow.")] = None,
+    sprt: Annotated[str | None, typer.Option(metavar="P0,P1", help="Stop by Wald's test: p >= P0 or p <= P1.")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    file_runs: Annotated[int, typer.Option(help="Runs in each block file of a new run folder.")] = 16_384,
+    as_json: Json = False,
+    worst: Annotated[int, typer.Option(help="How many of the worst runs to list.")] = 5,
+    rtol: Rtol = 1e-6,
+    max_steps: MaxSteps = 100_000,
+    block: Block = 512,
+    threads: Threads = None,
+    cache: Cache = True,
+) -> None:
+    """Verify the three claims of Theorem 1 by independent random runs, each with an exact interval.
+
+    With `--out`, rows are kept block by block: the same command goes on where it stopped, more `--runs` extend it.
+    """
+    with session(cache):
+        from qsmc_jax import SolverSettings
+
+        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+        rule = _rule(until_below, until_width, sprt)
+        recipe = recipe_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
+        if out is None and (fresh or prepare or scheduler or workers):
+            raise ValueError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
+        again = "".join(f" -S {shlex.quote(override)}" for override in overrides or [])
+        if out is None:
+            command = f"qsmc simulate {shlex.quote(str(study_file))} --seed {seed}{again} --index"
+            result = _at_once(recipe, runs, confidence, worst, rule, as_json)
+            _tell(result, command, None, as_json)
+        else:
+            folder = _folder(_beside(out) if fresh else out, recipe, study_file, file_runs)
+            command = f"qsmc show {shlex.quote(str(folder.path))} --run"
+            if prepare:
+                folder.ask_for(runs, rule is not None)
+                say(f"Prepared {folder.path} for {runs} runs. Now: qsmc worker {folder.path} --shard 0/4, 1/4, ...")
+                raise typer.Exit(0)
+            with _engine(scheduler, workers) as engine:
+                campaign = _Campaign(folder, recipe, study_file, runs, confidence, worst, rule, engine)
+                result = campaign.run(as_json)
+            _tell(result, command, folder.path, as_json)
+    raise typer.Exit(EXIT_CODES.get(result.verdict.name, UNDECIDED))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Campaign:
+    """What `run_campaign` is asked for."""
+
+    folder: "RunFolder"
+    recipe: "Recipe"
+    study_file: Path
+    runs: int
+    confidence: float
+    worst: int
+    rule: "AbstractRule | None"
+    engine: Any
+
+    def run(self, as_json: bool) -> "Verification":
+        """Solves what is missing, and writes summary, pictures and report; ends the program if it is interrupted."""
+        from qsmc_jax.campaign.campaign import run_campaign
+        from qsmc_jax.report.campaign_report import write_report
+        from qsmc_jax.report.provenance import provenance
+
+        origin = provenance(self.study_file, sys.argv)
+        with progress_bar("solving", quiet=as_json) as progress, finishing() as should_stop:
+            result = run_campaign(
+                self.folder,
+                self.recipe,
+                self.runs,
+                self.confidence,
+                worst=self.worst,
+                until=self.rule,
+                engine=self.engine,
+                progress=progress,
+                should_stop=should_stop,
+                provenance=origin,
+            )
+        if result is None:
+            say(f"Interrupted: what is solved is kept in {self.folder.path}. The same command goes on.", is_error=True)
+            raise typer.Exit(UNDECIDED)
+        with waiting("writing the report", quiet=as_json):
+            write_report(self.folder, result, origin)
+        return result
+
+
+def _at_once(
+    recipe: "Recipe", runs: int, confidence: float, worst: int, rule: "AbstractRule | None", as_json: bool
+) -> "Verification":
+    from qsmc_jax import verify
+
+    options = {"settings": recipe.settings, "block": recipe.block, "threads": recipe.threads, "until": rule}
+    with progress_bar("solving", quiet=as_json) as progress:
+        return verify(recipe.study, runs, recipe.seed, confidence, worst=worst, progress=progress, **options)
+
+
+def _rule(below: float | None, width: float | None, sprt: str | None) -> "AbstractRule | None":
+    from qsmc_jax.verification.stopping import SequentialTest, UntilBelow, UntilWidth
+
+    given = [each for each in (below, width, sprt) if each is not None]
+    if len(given) > 1:
+        raise ValueError("Only one of `--until-below`, `--until-width` and `--sprt` can decide when to stop.")
+    if below is not None:
+        return UntilBelow(below)
+    if width is not None:
+        return UntilWidth(width)
+    if sprt is None:
+        return None
+    try:
+        probability, alternative = map(float, sprt.split(","))
+    except ValueError:
+        raise ValueError(f"Argument `--sprt` must be P0,P1 such as 2e-3,1e-3, but is `{sprt}`.") from None
+    return SequentialTest(probability, alternative)
+
+
+def _folder(path: Path, recipe: "Recipe", study_file: Path, file_runs: int) -> "RunFolder":
+    from qsmc_jax.campaign.campaign import prepare
+    from qsmc_jax.report.provenance import provenance
+
+    origin = provenance(study_file, sys.argv)
+    return prepare(path, recipe, study_file=str(study_file), file_runs=file_runs, provenance=origin)
+
+
+def _beside(path: Path) -> Path:
+    """The first of `path`, `path-2`, `path-3`, ... that does not exist."""
+    number, candidate = 1, path
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.name}-{number}")
+    return candidate
+
+
+@contextlib.contextmanager
+def _engine(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+    """The threads of this process, or the workers of a Dask cluster: one that exists, or one started for the time."""
+    if scheduler is None and workers is None:
+        yield None
+        return
+    try:
+        import distributed
+    except ImportError:
+        raise ValueError(
+            "Arguments `--scheduler` and `--workers` need Dask: pip install 'qsmc_jax[cluster]'."
+        ) from None
+    from qsmc_jax.campaign.engines import Dask
+
+    if scheduler is not None and workers is not None:
+        raise ValueError("Only one of `--scheduler` and `--workers` can be given.")
+    if workers is not None and workers < 1:
+        raise ValueError(f"Argument `--workers` must be at least 1, but is {workers}.")
+    where = {"address": scheduler} if scheduler else {"n_workers": workers, "dashboard_address": None}
+    try:
+        client = distributed.Client(**where, timeout="30s")
+    except OSError as error:
+        message = f"Argument `--scheduler` must be that of a running cluster, but is {scheduler}: {error}."
+        raise ValueError(message) from None
+    with client:
+        yield Dask(client)
+
+
+def _tell(result: "Verification", again: str, out: Path | None, as_json: bool) -> None:
+    from qsmc_jax.report.folder import to_json
+
+    if as_json:
+        say(to_json(result.summary()))
+        return
+    error = result.numerical_error
+    speed = f"{result.runs / result.solve_seconds:.0f} runs/s, " if result.solve_seconds else ""
+    lines = [
+        str(result),
+        f"Numerical error of sup |sigma|/rho: {error.peak_ratio:.2g} ({error.checked} runs solved again at rtol / 100, "
+        f"{error.changed} verdicts changed); doubtful runs solved again: {result.climbed[0]}",
+        f"{speed}{result.steps / result.runs:.0f} steps a run, lanes occupied {100 * result.occupancy:.0f} %",
+        "Worst runs:",
+        *(f"  {finding(row)}   {again} {row['index']}" for row in map(result.worst.row, range(len(result.worst)))),
+        *([f"Written to {out}; open {out / 'report.html'}."] if out else []),
+    ]
+    say("\n".join(lines))
+
+
+def finding(row: dict[str, Any]) -> str:
+    """One run in half a line: how close it came, or when it left and how the premises fared."""
+    from qsmc_jax.simulation.outcome import Outcome, Verdict
+
+    if row["verdict"] == Verdict.HELD:
+        return f"sup |sigma|/rho {row['peak_ratio']:.6f}, sup |u| {row['peak_u']:.4g}"
+    if row["verdict"] == Verdict.VIOLATED:
+        premises = f"least gain_sign * g {row['least_gain']:.3g}, largest |d| {row['largest_disturbance']:.3g}"
+        return f"left the funnel at {row['violation_time']:.6g} s, {premises}"
+    return f"{Verdict(row['verdict']).name}, {Outcome(row['outcome']).name} at {row['end_time']:.6g} s"

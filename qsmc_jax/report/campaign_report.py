@@ -1,0 +1,115 @@
+"""What a campaign ends as: summary, pictures, and one page that can be handed on."""
+
+import base64
+import json
+import shlex
+from collections.abc import Mapping
+from io import BytesIO
+from typing import Any
+
+import jinja2
+
+from qsmc_jax.campaign.atomic import write_whole
+from qsmc_jax.campaign.folder import RunFolder
+from qsmc_jax.report.drivers import Drivers
+from qsmc_jax.report.folder import to_json
+from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.verification.result import Verification
+
+_PICTURES = {
+    "verification.png": "The funnel with bands of the first runs and the worst one; how much room the runs leave; when "
+    "they come to the bandwidth for good.",
+    "drivers.png": "Which drawn numbers go with a small margin: Spearman's rank correlation, and the strongest three.",
+}
+
+
+def write_report(folder: RunFolder, result: Verification, provenance: Mapping[str, Any]) -> None:
+    """Writes `summary.json`, the pictures and `report.html` into the run folder.
+
+    Args:
+        folder: The run folder.
+        result: What its rows showed.
+        provenance: Of the session that came to the end.
+    """
+    content = to_json({**result.summary(), "conclusion": result.conclusion(), "provenance": provenance})
+    write_whole(folder.path / "summary.json", content.encode() + b"\n")
+    (folder.path / "figures").mkdir(exist_ok=True)
+    _draw(folder, "verification.png", result.plot())
+    write_page(folder)
+
+
+def write_page(folder: RunFolder) -> None:
+    """Writes `report.html` from what is in the folder; nothing is solved and no study is run.
+
+    Raises:
+        ValueError: There is no summary yet.
+    """
+    summary = folder.read_json("summary.json")
+    drivers = Drivers.of(folder.tables(0, int(summary["runs"])))
+    if drivers.names:
+        _draw(folder, "drivers.png", drivers.plot())
+    write_whole(folder.path / "report.html", page(folder, summary, drivers).encode())
+
+
+def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str:
+    """The page: self-contained, with its pictures in it."""
+    manifest, place = folder.manifest, str(folder.path)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("qsmc_jax.report", "templates"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    environment.filters["short"] = _short
+    again = ["qsmc", "verify", manifest["study_file"], "--runs", str(summary["runs"]), "--seed", str(summary["seed"])]
+    for name, value in summary["values"].items():
+        again += ["-S", f"{name}={','.join(map(str, value if isinstance(value, list) else [value]))}"]
+    return environment.get_template("report.html.j2").render(
+        place=place,
+        summary=summary,
+        claims=[{**claim, "sentence": _sentence(claim, summary)} for claim in summary["claims"]],
+        worst=[{**row, "finding": _finding(row)} for row in summary["worst"]],
+        show=f"qsmc show {shlex.quote(place)} --run",
+        pictures=[(_inline(folder, name), text) for name, text in _PICTURES.items() if _is_there(folder, name)],
+        drivers=drivers,
+        manifest=manifest,
+        sessions=folder.sessions(),
+        zip=zip,
+        again=shlex.join([*again, "--rtol", str(manifest["identity"]["rtol"]), "--out", "again"]),
+    )
+
+
+def _sentence(claim: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+    """The finding on one claim, as it can be quoted."""
+    admitted = claim["held"] + claim["violated"] + claim["undecided"]
+    if not admitted:
+        return f"No run was admissible for the claim that {claim['statement']}."
+    found = f"In {claim['violated']} of {admitted} admissible independent runs it was violated"
+    found += f", {claim['undecided']} could not be decided and count both ways" if claim["undecided"] else ""
+    is_anytime = summary["interval"] == "confidence sequence"
+    kind = "at all numbers of runs at once (confidence sequence)" if is_anytime else "(Clopper-Pearson)"
+    sure = f"with {100 * summary['confidence']:g} % confidence"
+    return f"{found}; its probability lies between {claim['low']:.3g} and {claim['high']:.3g} {sure} {kind}."
+
+
+def _finding(row: Mapping[str, Any]) -> str:
+    verdict, outcome = Verdict(row["verdict"]).name, Outcome(row["outcome"]).name
+    return verdict if verdict == "HELD" else f"{verdict}, {outcome} at {_short(row['end_time'])} s"
+
+
+def _short(value: Any) -> str:
+    """A value as a reader wants it: five digits, containers as JSON."""
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _draw(folder: RunFolder, name: str, figure: Any) -> None:
+    content = BytesIO()
+    figure.savefig(content, format="png", dpi=110)
+    write_whole(folder.path / "figures" / name, content.getvalue())
+
+
+def _is_there(folder: RunFolder, name: str) -> bool:
+    return (folder.path / "figures" / name).is_file()
+
+
+def _inline(folder: RunFolder, name: str) -> str:
+    return "data:image/png;base64," + base64.b64encode((folder.path / "figures" / name).read_bytes()).decode()
