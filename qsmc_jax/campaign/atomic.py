@@ -1,5 +1,6 @@
 """Files that appear whole or not at all."""
 
+import contextlib
 import os
 import uuid
 from pathlib import Path
@@ -26,7 +27,8 @@ def write_whole(path: Path, content: bytes) -> None:
         os.replace(temporary, path)
         _flush_folder(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
         require(
             False,
             f"File `{path}` can't be written: {error.strerror}. What was written before is whole: make room, or make "

@@ -22,7 +22,6 @@ from qsmc_jax.cli.options import (
     Overrides,
     Rtol,
     Seed,
-    StudiesFile,
     StudyFile,
     Threads,
     Together,
