@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from qsmc_jax import campaign as campaign
     from qsmc_jax import paper as paper
     from qsmc_jax.control import controllers as controllers
     from qsmc_jax.control import thresholds as thresholds
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
     from qsmc_jax.tuning.landscape import landscape as landscape
     from qsmc_jax.tuning.result import Tuning as Tuning
     from qsmc_jax.tuning.tune import tune as tune
+    from qsmc_jax.verification import stopping as stopping
+    from qsmc_jax.verification.anytime import confidence_sequence as confidence_sequence
     from qsmc_jax.verification.comparison import Comparison as Comparison
     from qsmc_jax.verification.comparison import compare as compare
     from qsmc_jax.verification.critical import critical_value as critical_value
@@ -102,12 +105,14 @@ _HOMES = {
     "RobustnessMap": "qsmc_jax.verification.robustness",
     "Threshold": "qsmc_jax.verification.limits",
     "robustness_map": "qsmc_jax.verification.robustness",
+    "confidence_sequence": "qsmc_jax.verification.anytime",
     "runs_needed": "qsmc_jax.verification.statistics",
     "Verification": "qsmc_jax.verification.result",
     "verify": "qsmc_jax.verification.verify",
 }
 _NAMESPACES = {
     "actuators": "qsmc_jax.implementation.actuators",
+    "campaign": "qsmc_jax.campaign",
     "controllers": "qsmc_jax.control.controllers",
     "disturbances": "qsmc_jax.model.disturbances",
     "noises": "qsmc_jax.implementation.noises",
@@ -115,6 +120,7 @@ _NAMESPACES = {
     "paper": "qsmc_jax.paper",
     "plants": "qsmc_jax.model.plants",
     "references": "qsmc_jax.model.references",
+    "stopping": "qsmc_jax.verification.stopping",
     "thresholds": "qsmc_jax.control.thresholds",
 }
 

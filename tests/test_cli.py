@@ -30,13 +30,14 @@ def test_verify_writes_rows_verdict_and_picture(tmp_path):
     assert done.exit_code == 0, done.output
     assert "HELD in all" in done.output
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result"]
-    assert sorted(p.name for p in out.iterdir()) == ["runs.parquet", "verdict.json", "verification.png"]
-    rows = pq.read_table(out / "runs.parquet").to_pydict()
-    verdict = json.loads((out / "verdict.json").read_text())
+    files = ["blocks", "figures", "manifest.json", "report.html", "sessions", "study.py", "summary.json"]
+    assert sorted(p.name for p in out.iterdir()) == files
+    rows = pq.read_table(out / "blocks").to_pydict()
+    verdict = json.loads((out / "summary.json").read_text())
     assert sorted(rows["index"]) == list(range(64))
     assert np.sum(np.array(rows["verdict"]) == 0) == verdict["claims"][0]["held"]
     assert verdict["provenance"]["study_sha256"]
-    assert "qsmc simulate" in done.output
+    assert f"qsmc show {out} --run" in done.output
 
 
 def test_json_is_the_only_thing_on_standard_output():
@@ -55,21 +56,25 @@ def test_an_undecided_verification_exits_3():
     assert done.exit_code == 3
 
 
-def test_an_interruption_exits_3_and_writes_nothing(tmp_path, monkeypatch):
+def blocks_of(folder):
+    return list((folder / "blocks").iterdir())
+
+
+def test_a_hard_interruption_exits_3_and_keeps_no_half_block(tmp_path, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("qsmc_jax.report.folder.ResultFolder.add_rows", interrupt)
+    monkeypatch.setattr("qsmc_jax.campaign.recipe.Recipe.solve", interrupt)
     done = qsmc("verify", STUDY, *SMALL, "--out", tmp_path / "result")
     assert done.exit_code == 3
-    assert list(tmp_path.iterdir()) == []
+    assert blocks_of(tmp_path / "result") == []
 
 
 def test_simulate_replays_the_row_of_a_run(tmp_path):
     # Another program: it rounds differently, and may refuse a step that the other just kept; so at a tight tolerance.
     out, tight = tmp_path / "result", ("--rtol", 1e-12)
     assert qsmc("verify", STUDY, *SMALL, *tight, "--seed", 3, "--out", out).exit_code == 0
-    rows = pq.read_table(out / "runs.parquet").to_pydict()
+    rows = pq.read_table(out / "blocks").to_pydict()
     row = rows["index"].index(5)
     run = tmp_path / "run"
     assert qsmc("simulate", STUDY, "--index", 5, *tight, "--seed", 3, "--out", run).exit_code == 0
@@ -200,7 +205,7 @@ def test_an_existing_output_folder_is_refused_and_kept(tmp_path):
     (tmp_path / "precious.txt").write_text("data")
     done = qsmc("verify", STUDY, *SMALL, "--out", tmp_path)
     assert done.exit_code == 2
-    assert "must be a new folder" in done.output
+    assert "must be a new folder or one of this study" in done.output
     assert (tmp_path / "precious.txt").read_text() == "data"
 
 

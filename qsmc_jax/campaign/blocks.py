@@ -70,7 +70,8 @@ def write_block(folder: Path, table: Runs, about: dict[str, Any], specs: tuple[D
     rows = pa.table(dict(table.columns))
     schema = described(rows.schema, specs).with_metadata({_KEY: json.dumps({"names": table.names, **about})})
     sink = pa.BufferOutputStream()
-    pq.write_table(rows.cast(schema), sink, compression="zstd")
+    # Drawn numbers and figures hardly ever repeat: without a dictionary they take less room, and a third of the time.
+    pq.write_table(rows.cast(schema), sink, compression="zstd", use_dictionary=False)
     content = sink.getvalue().to_pybytes()
     start, stop = int(table["index"][0]), int(table["index"][-1]) + 1
     path = folder / f"{start:012d}-{stop:012d}-{_hash(content)}.parquet"

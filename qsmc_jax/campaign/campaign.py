@@ -10,7 +10,7 @@ import numpy as np
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.campaign.engines import AbstractEngine, Task, Threads
-from qsmc_jax.campaign.folder import FILE_RUNS, RunFolder
+from qsmc_jax.campaign.folder import FILE_RUNS, RunFolder, Session
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs
@@ -77,7 +77,7 @@ def run_campaign(
         until: When to stop before.
         engine: Who solves; None for the threads of this process.
         progress: Called as `progress(done, runs)` after each block.
-        should_stop: Asked after each block; the block in hand is finished and written.
+        should_stop: Asked before each block is begun; blocks in hand are finished and written.
         provenance: Versions, machine and time, for the note of this session.
 
     Returns:
@@ -93,7 +93,7 @@ def run_campaign(
     is_anytime = folder.ask_for(runs, until is not None)
     evidence, session = Evidence(recipe.study, worst, recipe.block), folder.begin_session(provenance or {})
     state, decision = "interrupted", None
-    blocks = Blocks(folder, recipe, runs)
+    blocks = Blocks(folder, recipe, runs, should_stop)
     solving = blocks.solved(engine or Threads(), session)
     try:
         for done in blocks.in_order(solving):
@@ -102,7 +102,7 @@ def run_campaign(
             if progress is not None:
                 progress(done, runs)
             decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
-            if decision is not None or (done < runs and should_stop()):
+            if decision is not None:
                 break
         state = "done" if decision is not None or evidence.runs >= runs else "interrupted"
     finally:
@@ -135,7 +135,7 @@ def work_shard(
         shard: Which of the shards, 0 <= shard < shards.
         shards: How many there are.
         progress: Called as `progress(done, runs)` after each block, with the runs of all shards.
-        should_stop: Asked after each block.
+        should_stop: Asked before each block is begun.
         provenance: Versions, machine and time.
 
     Returns:
@@ -146,17 +146,12 @@ def work_shard(
     require(bool(asked_for), f"Folder `{folder.path}` has no runs asked for: prepare it with `qsmc verify --prepare`.")
     folder.check(recipe)
     session, runs = folder.begin_session(provenance or {}), max(asked_for)
-    blocks = Blocks(folder, recipe, runs)
-    solving = blocks.solved(Threads(), session, lambda number: number % shards == shard)
-    for number in solving:
+    blocks = Blocks(folder, recipe, runs, should_stop, lambda number: number % shards == shard)
+    for number in blocks.solved(Threads(), session):
         if progress is not None:
             progress(min((number + 1) * blocks.size, runs), runs)
-        if should_stop():
-            solving.close()
-            session.write("interrupted")
-            return False
-    session.write("done")
-    return True
+    session.write("interrupted" if blocks.is_stopped else "done")
+    return not blocks.is_stopped
 
 
 @dataclasses.dataclass
@@ -167,21 +162,23 @@ class Blocks:
         folder: Where they are.
         recipe: How to solve them.
         runs: Runs of all together.
+        should_stop: Asked before each block is begun.
+        is_mine: Which numbers of blocks are to be solved here.
     """
 
     folder: RunFolder
     recipe: Recipe
     runs: int
+    should_stop: Callable[[], bool]
+    is_mine: Callable[[int], bool] = lambda _: True
 
     def __post_init__(self):
         self.size = int(self.folder.manifest["file_runs"])
-        self._is_probed = False
+        self.is_stopped = self._is_probed = False
 
-    def solved(
-        self, engine: AbstractEngine, session: Any, is_mine: Callable[[int], bool] = lambda _: True
-    ) -> Generator[int, None, None]:
+    def solved(self, engine: AbstractEngine, session: Session) -> Generator[int, None, None]:
         """Numbers of blocks, each once all of its rows are in the folder, in any order."""
-        for task, parts in engine.solve(self.recipe, self._tasks(is_mine)):
+        for task, parts in engine.solve(self.recipe, self._tasks()):
             for solved in parts:
                 self.folder.add(solved, self.recipe.study.specs)
                 session.add(solved)
@@ -196,10 +193,13 @@ class Blocks:
                 following += 1
                 yield min(following * self.size, self.runs)
 
-    def _tasks(self, is_mine: Callable[[int], bool]) -> Iterator[Task]:
+    def _tasks(self) -> Iterator[Task]:
         """Every block with what is missing of it now, so that what another worker has just done is not done again."""
         for number in range(-(-self.runs // self.size)):
-            if is_mine(number):
+            if self.should_stop():
+                self.is_stopped = True
+                return
+            if self.is_mine(number):
                 start, stop = number * self.size, min((number + 1) * self.size, self.runs)
                 missing = self.folder.missing(start, stop)
                 if missing:

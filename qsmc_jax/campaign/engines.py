@@ -5,6 +5,7 @@ import collections
 import dataclasses
 import functools as ft
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from qsmc_jax.base.checks import require
@@ -39,11 +40,18 @@ class AbstractEngine(abc.ABC):
 
 
 class Threads(AbstractEngine):
-    """This process: one block at a time, its pieces over threads."""
+    """This process: one block at a time, its pieces over threads, while the one before is written."""
 
     def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
-        for task in tasks:
-            yield task, [recipe.solve(runs) for runs in task.missing]
+        before: tuple[Task, Future[list[Solved]]] | None = None
+        with ThreadPoolExecutor(1) as pool:
+            for task in tasks:
+                solving = pool.submit(lambda missing: [recipe.solve(runs) for runs in missing], task.missing)
+                if before is not None:
+                    yield before[0], before[1].result()
+                before = task, solving
+            if before is not None:
+                yield before[0], before[1].result()
 
 
 @dataclasses.dataclass

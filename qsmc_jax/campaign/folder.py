@@ -18,7 +18,7 @@ from qsmc_jax.study.draw import DrawSpec
 from qsmc_jax.study.runs import Runs
 
 SCHEMA = 1
-FILE_RUNS = 16_384
+FILE_RUNS = 32_768
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,10 +10,13 @@ from typing import Any
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.monte_carlo import BLOCK, stream
 from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.sampling import Random
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study
+from qsmc_jax.study.windows import Planner
 from qsmc_jax.verification.decided import through
 from qsmc_jax.verification.ladder import Ladder
 
@@ -57,12 +60,20 @@ class Recipe:
         }
         return json.loads(json.dumps(identity))
 
+    @ft.cached_property
+    def planner(self) -> Planner:
+        """What the blocks so far taught of the cost of a run; compiles on first use."""
+        lanes = Lanes(self.study, self.settings, self.block)
+        lanes.compile_nominal()
+        return Planner(lanes, self.seed, Random())
+
     def solve(self, runs: range) -> "Solved":
-        """Solves and decides consecutive runs."""
-        begin, workload = time.perf_counter(), Workload()
+        """Solves and decides consecutive runs; not by two threads at once."""
+        planner, workload, begin = self.planner, Workload(), time.perf_counter()
         solve = ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
         ladder = Ladder(solve, self.settings, self.block)
-        tables = list(through(ladder, solve(runs, settings=self.settings, workload=workload)))
+        first = solve(runs, settings=self.settings, workload=workload, planner=planner)
+        tables = list(through(ladder, first))
         table = concatenate(tables)
         rows = table.take(table["index"].argsort())
         seconds = time.perf_counter() - begin

@@ -41,7 +41,7 @@ def verify_study(
     sprt: Annotated[str | None, typer.Option(metavar="P0,P1", help="Stop by Wald's test: p >= P0 or p <= P1.")] = None,
     scheduler: Scheduler = None,
     workers: Workers = None,
-    file_runs: Annotated[int, typer.Option(help="Runs in each block file of a new run folder.")] = 16_384,
+    file_runs: Annotated[int, typer.Option(help="Runs in each block file of a new run folder.")] = 32_768,
     as_json: Json = False,
     worst: Annotated[int, typer.Option(help="How many of the worst runs to list.")] = 5,
     rtol: Rtol = 1e-6,

@@ -71,6 +71,7 @@ def stream(
     threads: int | None = None,
     progress: Progress | None = None,
     workload: Workload | None = None,
+    planner: Planner | None = None,
 ) -> Iterator[Runs]:
     """Solves the runs of the given indices and yields them window by window, in order, holding only a few at a time.
 
@@ -87,6 +88,7 @@ def stream(
         threads: Blocks solved at the same time; None for one a core.
         progress: Called as `progress(done, len(indices))` after each block.
         workload: Told what each block cost.
+        planner: What earlier calls for the same study, seed, sampling, settings and block learned; None to begin anew.
 
     Yields:
         Tables of up to 16 blocks.
@@ -94,7 +96,7 @@ def stream(
     lanes = Lanes(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
     threads = thread_count(threads)
-    planner = Planner(lanes, seed, sampling)
+    planner = planner or Planner(lanes, seed, sampling)
     done, solved = 0, []
     for piece, table in _in_order(lanes, planner.pieces(indices), threads):
         done += len(table)

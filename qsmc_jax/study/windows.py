@@ -40,8 +40,8 @@ class Planner:
         self._schedules[piece.method].learn(piece.points, steps)
 
     def pieces(self, indices: Sequence[int] | np.ndarray) -> Iterator[Piece]:
-        """All pieces, in the order of their windows. A small window comes first, to learn from."""
-        start, size = 0, FIRST_WINDOW * self._lanes.count
+        """All pieces, in the order of their windows. As long as nothing is known a small one comes first, to learn."""
+        start, size = 0, (WINDOW if self._schedules else FIRST_WINDOW) * self._lanes.count
         while start < len(indices):
             yield from self._window(np.asarray(indices[start : start + size], dtype=np.int64))
             start, size = start + size, WINDOW * self._lanes.count
