@@ -59,6 +59,7 @@ def test_show_replays_a_run_and_the_worst(run, tmp_path):
     assert json.loads(done.stdout)["recorded"]["index"] == worst["index"]
 
 
+@pytest.mark.slow
 def test_the_study_is_run_where_it_was_named_and_never_in_the_folder(run, tmp_path):
     moved = tmp_path / "run"
     shutil.copytree(run, moved)
@@ -89,6 +90,7 @@ def test_exported_rows_are_those_of_the_blocks(run, tmp_path):
     assert "must be a new file" in qsmc("export", run, "--to", "csv", "--out", csv).output
 
 
+@pytest.mark.slow
 def test_fresh_begins_beside_and_compare_holds_the_two_against_each_other(run, tmp_path):
     first = tmp_path / "run"
     shutil.copytree(run, first)
@@ -103,6 +105,7 @@ def test_fresh_begins_beside_and_compare_holds_the_two_against_each_other(run, t
     assert "Of 64 runs with the same draws" in done.output
 
 
+@pytest.mark.slow
 def test_a_rule_stops_early_and_says_so(tmp_path):
     done = qsmc("verify", STUDY, "--runs", 640, *SMALL, "--until-below", 0.03, "--out", tmp_path / "run", "--no-cache")
     assert done.exit_code == 0, done.output
@@ -110,6 +113,7 @@ def test_a_rule_stops_early_and_says_so(tmp_path):
     assert "at any time" in done.output
 
 
+@pytest.mark.slow
 def test_a_worker_solves_its_shard(tmp_path):
     path = tmp_path / "run"
     assert qsmc("verify", STUDY, "--runs", 192, *SMALL, "--out", path, "--prepare", "--no-cache").exit_code == 0
@@ -188,6 +192,7 @@ def test_a_browser_shows_the_report(run, tmp_path):
     assert np.diff(np.flatnonzero(inked[:2000])).max() < 200
 
 
+@pytest.mark.slow
 def test_a_damaged_block_is_told_on_the_command_line(run, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(run, path)

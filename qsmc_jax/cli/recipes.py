@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from qsmc_jax.base.checks import require
 from qsmc_jax.cli.study_file import load_study
 
 if TYPE_CHECKING:
@@ -33,11 +32,11 @@ def recipe_again(folder: "RunFolder", study_file: Path | None, **options: Any) -
     manifest = folder.manifest
     identity, named = manifest["identity"], study_file or Path(manifest["study_path"])
     is_inside = folder.path.resolve() in named.resolve().parents
-    require(
-        named.is_file() and not (is_inside and study_file is None),
-        f"The study of `{folder.path}` was `{named}`, which is not there. Name the file by --study. A copy of it, to "
-        f"be run if you trust it, is `{folder.path / 'study.py'}`.",
-    )
+    if not named.is_file() or (is_inside and study_file is None):
+        raise ValueError(
+            f"The study of `{folder.path}` was `{named}`, which is not there. Name the file by --study. A copy, to be "
+            f"run if you trust it, is `{folder.path / 'study.py'}`."
+        )
     settings = SolverSettings(identity["rtol"], identity["atol"])
     settings = settings.replace(**{name: identity[name] for name, _ in settings.choices if name in identity})
     study = load_study(named, []).substitute(**identity["values"])
