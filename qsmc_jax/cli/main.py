@@ -10,6 +10,7 @@ import typer
 
 from qsmc_jax.cli.campaign_commands import register_campaign
 from qsmc_jax.cli.console import say, waiting
+from qsmc_jax.cli.newcomer_commands import register_newcomer
 from qsmc_jax.cli.options import Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile
 from qsmc_jax.cli.robustness_commands import register
 from qsmc_jax.cli.session import UNDECIDED, session
@@ -93,4 +94,5 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
 app.command("verify")(verify_study)
 register(app)
 register_campaign(app)
+register_newcomer(app)
 app.command("tune")(tune_study)

@@ -55,7 +55,8 @@ def cost(file: str, method: str) -> tuple[float, float]:
         options = {"names": NAMES, "metrics": METRICS, "settings": settings, "block": RUNS, "threads": 1}
         return differentiate(study, indices, 0, **options)
 
-    solve(), derive()
+    solve()
+    derive()
     times = [(seconds(solve), seconds(derive)) for _ in range(REPEATS)]
     return statistics.median(each[0] for each in times), statistics.median(each[1] for each in times)
 
