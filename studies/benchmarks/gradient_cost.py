@@ -2,10 +2,10 @@
 
 Question: How much longer than solving 64 runs does it take to solve them with the derivatives of two figures by mu and
     rho_inf?
-Claim: some twice as long with Tsit5 and for sampled loops, four to six times with Rodas5P. README.md has the figures.
-Time: two minutes on one core:
+Claim: two to three times as long with Tsit5 and for sampled loops, three and a half with Rodas5P, on one core.
+Time: a minute, to be held on one core:
 
-    python studies/benchmarks/gradient_cost.py
+    taskset -c 0 python studies/benchmarks/gradient_cost.py
 """
 
 import runpy

@@ -2,8 +2,8 @@
 
 Question: Example 1 in a computer, mu and rho_inf to be chosen: after how many simulations is `tune` as good as SciPy's
 differential evolution and Optuna's TPE are in the end, all on the same training runs?
-Claim: in the median of five seeds after a thirtieth of what differential evolution takes, a fourteenth of what TPE takes,
-    and after less than a tenth in each. README.md has the table.
+Claim: in the median of five seeds after a thirtieth of what differential evolution takes, a fourteenth of what TPE
+    takes, and after less than a tenth in each. README.md has the table.
 Time: twenty minutes on two cores (`--seeds 1 --budget 90`: one or two):
 
     python studies/benchmarks/tuning_race.py --out results/tuning_race.png
