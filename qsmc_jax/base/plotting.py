@@ -26,3 +26,16 @@ def new_figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any,
     for ax in axes.flat:
         ax.grid(alpha=0.3)
     return figure, axes
+
+
+def one_axes(ax: Any, size: tuple[float, float]) -> tuple[Any, Any]:
+    """The figure and axes to draw in: those given, or else new ones.
+
+    Args:
+        ax: Matplotlib `Axes`, or None.
+        size: Width and height of a new figure [inch].
+    """
+    if ax is not None:
+        return ax.figure, ax
+    figure, axes = new_figure(1, 1, size)
+    return figure, axes[0, 0]

@@ -56,7 +56,7 @@ def show_run(
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.campaign.replay import replay
         from qsmc_jax.report.folder import ResultFolder, to_json
-        from qsmc_jax.report.signals import figures_as_numbers, signals_table
+        from qsmc_jax.report.signals import figures_as_numbers
 
         folder = RunFolder.open(run)
         with waiting("solving", quiet=as_json):
@@ -65,7 +65,7 @@ def show_run(
         if out:
             with ResultFolder(out) as result:
                 result.add_json("run.json", numbers)
-                result.add_table("signals.parquet", signals_table(again.trajectory))
+                result.add_table("signals.parquet", again.trajectory.columns())
                 result.add_figure("run.png", again.trajectory.plot())
                 result.commit()
         say(to_json(numbers) if as_json else f"{again}" + (f"\nWritten to {out}." if out else ""))

@@ -43,7 +43,7 @@ def simulate(
     with session(cache):
         from qsmc_jax import SolverSettings
         from qsmc_jax.report.folder import ResultFolder, to_json
-        from qsmc_jax.report.signals import figures_as_numbers, signals_table
+        from qsmc_jax.report.signals import figures_as_numbers
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             study = load_study(study_file, overrides or [])
@@ -55,7 +55,7 @@ def simulate(
             numbers = figures_as_numbers(run)
             if folder:
                 folder.add_json("run.json", numbers)
-                folder.add_table("signals.parquet", signals_table(run))
+                folder.add_table("signals.parquet", run.columns())
                 folder.add_figure("run.png", run.plot())
                 if run.loop.order == 2:
                     folder.add_figure("phase_plane.png", run.plot_phase_plane())

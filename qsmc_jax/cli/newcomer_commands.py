@@ -21,7 +21,7 @@ from qsmc_jax.cli.options import Cache
 from qsmc_jax.cli.session import session
 
 _PACKAGES = ("qsmc_jax", "jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy", "pyarrow", "matplotlib")
-_EXTRAS = {"cluster": ("distributed",), "notebook": ("jupyterlab", "ipywidgets", "pandas", "xarray")}
+_EXTRAS = {"cluster": ("distributed",), "notebook": ("ipykernel", "ipywidgets", "jupytext", "pandas", "xarray")}
 
 
 def register_newcomer(app: typer.Typer) -> None:

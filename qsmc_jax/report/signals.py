@@ -1,8 +1,6 @@
-"""One run as plain numbers and as a table of its signals."""
+"""One run as plain numbers."""
 
 from typing import Any
-
-import numpy as np
 
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.trajectory import Trajectory
@@ -22,12 +20,3 @@ def figures_as_numbers(run: Trajectory) -> dict[str, Any]:
         "advice": run.outcome.advice,
         "reaching_time": run.reaching_time,
     }
-
-
-def signals_table(run: Trajectory) -> dict[str, Any]:
-    """The signals, one row a time."""
-    vectors = {"x": run.x, "e": run.e, "desired": run.desired}
-    columns = {"t": run.ts, "sigma": run.sigma, "rho": run.rho, "u": run.u, "d": run.d}
-    for name, values in vectors.items():
-        columns.update({f"{name}[{i}]": np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])})
-    return columns

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Real
 from qsmc_jax.base.checks import require, require_finite, require_positive, require_shape, show
 from qsmc_jax.base.gudermann import ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule, as_float64
+from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
@@ -20,7 +21,7 @@ from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import with_method
 from qsmc_jax.simulation.tally import Problem
-from qsmc_jax.simulation.trajectory_plots import plot_phase_plane, plot_trajectory
+from qsmc_jax.simulation.trajectory_plots import plot_funnel, plot_phase_plane, plot_trajectory
 
 _DEFAULT_TIMES = 2001
 
@@ -75,9 +76,44 @@ class Trajectory(AbstractModule):
         """The paper's four pictures as one matplotlib figure: output, errors, input, sliding variable in its funnel."""
         return plot_trajectory(self)
 
-    def plot_phase_plane(self) -> Any:
-        """The paper's Figure 1, for a plant of order 2: the errors' path between the moving surfaces, in matplotlib."""
-        return plot_phase_plane(self)
+    def plot_phase_plane(self, ax: Any = None) -> Any:
+        """The paper's Figure 1, for a plant of order 2: the errors' path between the moving surfaces, in matplotlib.
+
+        Args:
+            ax: Matplotlib `Axes` to draw in; None for a new figure.
+        """
+        return plot_phase_plane(self, ax)
+
+    def plot_funnel(self, ax: Any = None) -> Any:
+        """The sliding variable in its funnel, in matplotlib.
+
+        Args:
+            ax: Matplotlib `Axes` to draw in; None for a new figure.
+        """
+        return plot_funnel(self, ax)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The signals as columns over the column `t`: `x[0]`, `desired[0]`, `e[0]`, ..., `sigma`, `rho`, `u`, `d`."""
+        signals: dict[str, np.ndarray] = {"t": np.asarray(self.ts)}
+        for name in ("x", "desired", "e"):
+            values = np.asarray(getattr(self, name))
+            signals.update({f"{name}[{i}]": values[:, i] for i in range(values.shape[1])})
+        return {**signals, **{name: np.asarray(getattr(self, name)) for name in ("sigma", "rho", "u", "d")}}
+
+    def to_pandas(self) -> Any:
+        """The signals as a `pandas.DataFrame` over t [s]; needs the extra `notebook`."""
+        return as_frame(self.columns(), "t")
+
+    def to_xarray(self) -> Any:
+        """The signals as an `xarray.Dataset` over t [s] and the derivative; needs the extra `notebook`."""
+        wide = {name: (("t", "derivative"), np.asarray(getattr(self, name))) for name in ("x", "desired", "e")}
+        flat = {name: ("t", np.asarray(getattr(self, name))) for name in ("sigma", "rho", "u", "d")}
+        coordinates = {"t": ("t", np.asarray(self.ts), {"units": "s"}), "derivative": np.arange(self.loop.order)}
+        attributes = {"verdict": self.verdict.name, "bandwidth": float(self.bandwidth)}
+        return as_dataset({**wide, **flat}, coordinates, attributes)
+
+    def _repr_html_(self) -> str:
+        return as_html(str(self), self.plot_funnel())
 
     def __str__(self) -> str:
         f, peak = self.figures, float(self.figures.peak_ratio)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure, one_axes
 
 if TYPE_CHECKING:
     from qsmc_jax.simulation.trajectory import Trajectory
@@ -41,11 +41,12 @@ def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None) 
     return figure
 
 
-def plot_phase_plane(run: "Trajectory") -> Any:
+def plot_phase_plane(run: "Trajectory", ax: Any = None) -> Any:
     """The paper's Figure 1: e against its derivative, and the surfaces |sigma| = rho(t) closing in on epsilon.
 
     Args:
         run: A trajectory of a plant of order 2.
+        ax: Matplotlib `Axes` to draw in; None for a new figure.
 
     Returns:
         A matplotlib `Figure`.
@@ -55,8 +56,8 @@ def plot_phase_plane(run: "Trajectory") -> Any:
     """
     order = run.loop.order
     require(order == 2, f"The phase plane needs a plant of order 2, but this one has order {order}. Use `plot()`.")
-    figure, axes = new_figure(1, 1, (7.0, 5.5))
-    ax, c = axes[0, 0], float(run.loop.control.surface.c[0])
+    figure, ax = one_axes(ax, (7.0, 5.5))
+    c = float(run.loop.control.surface.c[0])
     reach = 1.1 * max(np.nanmax(np.abs(run.e[:, 0])), float(run.bandwidth))
     e = np.linspace(-reach, reach, 2)
     times = np.linspace(0.0, run.reaching_time, 6)
@@ -76,6 +77,22 @@ def plot_phase_plane(run: "Trajectory") -> Any:
     height = 1.2 * np.nanmax(np.abs(run.e[:, 1])) + float(run.bandwidth)
     ax.set(xlim=(-reach, reach), ylim=(-height, height), xlabel="$e$", ylabel=r"$\dot e$ [1/s]", title="Phase plane")
     ax.legend(loc="best", fontsize=8)
+    return figure
+
+
+def plot_funnel(run: "Trajectory", ax: Any = None) -> Any:
+    """The sliding variable in its funnel.
+
+    Args:
+        run: A trajectory.
+        ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+    Returns:
+        Its matplotlib `Figure`.
+    """
+    figure, ax = one_axes(ax, (6.0, 3.6))
+    ax.plot(run.ts, run.sigma, color=BLUE, label=r"$\sigma$")
+    _funnel(ax, run)
     return figure
 
 

@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.simulation.outcome import Verdict
+
+# Rows that a notebook shows.
+_SHOWN = 5
 
 CLAIMS = ("verdict", "verdict_reaching", "verdict_tracking")
 
@@ -48,6 +52,27 @@ class Runs:
     def counts(self, claim: str = "verdict") -> dict[Verdict, int]:
         """How many runs have each verdict on a claim: `"verdict"`, `"verdict_reaching"` or `"verdict_tracking"`."""
         return {verdict: int(np.sum(self[claim] == verdict)) for verdict in Verdict}
+
+    def to_pandas(self) -> Any:
+        """The table as a `pandas.DataFrame` over the index of the run; needs the extra `notebook`."""
+        return as_frame(self.columns, "index")
+
+    def to_xarray(self) -> Any:
+        """The table as an `xarray.Dataset` over the dimension `run`; needs the extra `notebook`."""
+        variables = {name: ("run", values) for name, values in self.columns.items() if name != "index"}
+        return as_dataset(variables, {"run": self["index"]}, {})
+
+    def _repr_html_(self) -> str:
+        shown = ("index", *self.names, "verdict", "margin", "peak_u", "reach_time")
+        widths = {name: max(len(name), 10) for name in shown if name in self.columns}
+        lines = ["  ".join(name.rjust(width) for name, width in widths.items())]
+        for i in range(min(len(self), _SHOWN)):
+            row = (
+                {**self.row(i), "verdict": Verdict(self.row(i)["verdict"]).name} if "verdict" in widths else self.row(i)
+            )
+            cells = (f"{row[name]:.5g}" if isinstance(row[name], float) else str(row[name]) for name in widths)
+            lines.append("  ".join(cell.rjust(width) for cell, width in zip(cells, widths.values(), strict=True)))
+        return as_html("\n".join([str(self), *lines, *(["..."] if len(self) > _SHOWN else [])]))
 
     def __str__(self) -> str:
         counts = ", ".join(f"{count} {verdict.name}" for verdict, count in self.counts().items() if count)

@@ -49,14 +49,23 @@ class Landscape:
         efficient = ~np.any(no_worse & better, axis=1) & np.isfinite(points).all(axis=1)
         return efficient.reshape(self.is_feasible.shape)
 
-    def plot(self, path: Sequence[Evaluation] = ()) -> Any:
-        """Contours of the objective, where the constraints are kept, and the path of a search (`Tuning.history`)."""
-        return plot_contour(self, path)
+    def plot(self, path: Sequence[Evaluation] = (), ax: Any = None) -> Any:
+        """Contours of the objective, where the constraints are kept, and the path of a search.
 
-    def plot_pareto(self) -> Any:
-        """The second objective against the first, efficient cells joined, and the marked gains."""
+        Args:
+            path: `Tuning.history`, or nothing.
+            ax: Matplotlib `Axes` to draw in; None for a new figure.
+        """
+        return plot_contour(self, path, ax)
+
+    def plot_pareto(self, ax: Any = None) -> Any:
+        """The second objective against the first, efficient cells joined, and the marked gains.
+
+        Args:
+            ax: Matplotlib `Axes` to draw in; None for a new figure.
+        """
         require(len(self.objectives) > 1, "A Pareto front needs two objectives: give `against`.")
-        return plot_pareto(self)
+        return plot_pareto(self, ax)
 
 
 def landscape(

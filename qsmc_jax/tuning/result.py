@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from qsmc_jax.base.notebook import as_html
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Evaluation
 from qsmc_jax.tuning.certificate import Certificate
@@ -115,6 +116,9 @@ class Tuning:
                 for name, column in zip(self.parameters, self.sensitivity.T, strict=True)
             },
         }
+
+    def _repr_html_(self) -> str:
+        return as_html(str(self), self.plot())
 
     def plot(self) -> Any:
         """Objective, constraints and gains along the search, and the sensitivities at its end."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure, one_axes
 from qsmc_jax.base.scales import spans_decade
 
 if TYPE_CHECKING:
@@ -77,10 +77,10 @@ def _draw_sensitivity(ax: Any, result: "Tuning") -> None:
     ax.legend(fontsize=8)
 
 
-def plot_contour(made: "Landscape", path: Sequence["Evaluation"]) -> Any:
+def plot_contour(made: "Landscape", path: Sequence["Evaluation"], ax: Any = None) -> Any:
     """Contours of the objective over two gains, where constraints are kept, and the path of a search."""
-    figure, axes = new_figure(1, 1, (8.5, 6.5))
-    ax, (x, y) = axes[0, 0], made.grids
+    figure, ax = one_axes(ax, (8.5, 6.5))
+    x, y = made.grids
     values = made.values[0].T
     finite = values[np.isfinite(values)]
     is_wide = spans_decade(finite.min(), finite.max())
@@ -109,10 +109,10 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"]) -> Any:
     return figure
 
 
-def plot_pareto(made: "Landscape") -> Any:
+def plot_pareto(made: "Landscape", ax: Any = None) -> Any:
     """The second objective against the first over the grid: passed, dominated and efficient cells."""
-    figure, axes = new_figure(1, 1, (8.5, 6.0))
-    ax, points = axes[0, 0], made.values[:2].reshape(2, -1)
+    figure, ax = one_axes(ax, (8.5, 6.0))
+    points = made.values[:2].reshape(2, -1)
     kept, efficient = made.is_feasible.reshape(-1), made.is_efficient.reshape(-1)
     ax.plot(*points[:, ~kept], "x", color=RED, ms=4, alpha=0.5, label="a constraint passed")
     ax.plot(*points[:, kept & ~efficient], "o", color=GREY, ms=4, alpha=0.5, label="dominated")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.notebook import as_html
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
@@ -119,6 +120,9 @@ class Comparison:
     def summary(self) -> dict[str, Any]:
         """Everything as plain numbers and texts, ready for JSON."""
         return dataclasses.asdict(self)
+
+    def _repr_html_(self) -> str:
+        return as_html(str(self), self.plot())
 
     def plot(self) -> Any:
         """The probability of leaving the funnel and the median of each figure, with their intervals."""

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, new_figure
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, one_axes
 from qsmc_jax.base.scales import spans_decade
 
 if TYPE_CHECKING:
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 _MARKS = {"below": (BLUE, "o"), "above": (RED, "s"), "open": (GREY, "d")}
 
 
-def plot_critical(result: "CriticalValue") -> Any:
+def plot_critical(result: "CriticalValue", ax: Any = None) -> Any:
     """Every test of a search with its interval, and the probability that was to be shown.
 
     Args:
         result: What `critical_value` returned.
+        ax: Matplotlib `Axes` to draw in; None for a new figure.
 
     Returns:
         A matplotlib `Figure`; save it with `.savefig(path)`.
     """
-    figure, axes = new_figure(1, 1, (8.0, 5.4))
-    ax = axes[0, 0]
+    figure, ax = one_axes(ax, (8.0, 5.4))
     table = result.table()
     estimate = table["violated"] / np.maximum(table["runs"] - table["inadmissible"], 1)
     reach = np.abs([estimate - table["low"], table["high"] - estimate])

@@ -5,6 +5,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from qsmc_jax.base.notebook import as_html
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.critical_plots import plot_critical
 
@@ -143,9 +144,12 @@ class CriticalValue:
             "tests": [dataclasses.asdict(test) for test in self.tests],
         }
 
-    def plot(self) -> Any:
+    def _repr_html_(self) -> str:
+        return as_html(str(self), self.plot())
+
+    def plot(self, ax: Any = None) -> Any:
         """Every test with its interval, and the probability that was to be shown."""
-        return plot_critical(self)
+        return plot_critical(self, ax)
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, each test with its own"]

@@ -4,11 +4,12 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from qsmc_jax.base.notebook import as_html
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
-from qsmc_jax.verification.result_plots import plot_verification
+from qsmc_jax.verification.result_plots import plot_margin, plot_verification
 from qsmc_jax.verification.statistics import runs_needed
 from qsmc_jax.verification.summary import Histogram
 
@@ -164,6 +165,17 @@ class Verification:
             doubts.append(f"{self.numerical_error.changed} verdicts change with the tolerance: lower `rtol`.")
         codes = sorted({int(code) for code in self.worst["outcome"]} - {0})
         return " ".join(doubts + [Outcome(code).advice for code in codes])
+
+    def plot_margin(self, ax: Any = None) -> Any:
+        """The histogram of 1 - sup |sigma|/rho; nothing is solved for it.
+
+        Args:
+            ax: Matplotlib `Axes` to draw in; None for a new figure.
+        """
+        return plot_margin(self, ax)
+
+    def _repr_html_(self) -> str:
+        return as_html(str(self), self.plot_margin())
 
     def plot(self) -> Any:
         """The funnel with bands of the runs and the worst run, and the distributions of margin and reach time."""

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, new_figure
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, new_figure, one_axes
 from qsmc_jax.verification.summary import Histogram
 
 if TYPE_CHECKING:
@@ -31,6 +31,21 @@ def plot_verification(result: "Verification") -> Any:
     _margin(axes[0, 1], result.margin, result)
     _reach(axes[0, 2], result.reach, result)
     figure.suptitle(f"{result.verdict.name}: {result.runs} runs, seed {result.seed}")
+    return figure
+
+
+def plot_margin(result: "Verification", ax: Any = None) -> Any:
+    """The histogram of the margin.
+
+    Args:
+        result: What `verify` returned.
+        ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+    Returns:
+        Its matplotlib `Figure`.
+    """
+    figure, ax = one_axes(ax, (6.0, 3.2))
+    _margin(ax, result.margin, result)
     return figure
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from qsmc_jax.base.checks import require, require_finite
+from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
@@ -122,6 +123,24 @@ class RobustnessMap:
             "thresholds": [dataclasses.asdict(threshold) for threshold in self.thresholds],
             "scales": {name: {"factor": float(scale[0]), "label": scale[1]} for name, scale in self.scales.items()},
         }
+
+    def to_pandas(self) -> Any:
+        """The cells as a `pandas.DataFrame` over the first name; needs the extra `notebook`."""
+        return as_frame(self.table(), self.names[0])
+
+    def to_xarray(self) -> Any:
+        """Counts and intervals of each claim as an `xarray.Dataset` over the names; needs the extra `notebook`."""
+        found = {
+            f"{claim}.{key}": (self.names, value)
+            for claim, each in self.claims.items()
+            for key, value in vars(each).items()
+        }
+        medians = {f"median.{key}": (self.names, value) for key, value in self.medians.items()}
+        attributes = {"runs": self.runs, "seed": self.seed, "confidence": self.confidence}
+        return as_dataset({**found, **medians}, dict(zip(self.names, self.grids, strict=True)), attributes)
+
+    def _repr_html_(self) -> str:
+        return as_html(str(self), self.plot())
 
     def plot(self, dimensionless: bool = False) -> Any:
         """The probability of leaving the funnel over the grid, and the medians, with the thresholds as lines.
