@@ -59,6 +59,7 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
     )
     environment.filters["short"] = _short
     again = ["qsmc", "verify", manifest["study_file"], "--runs", str(summary["runs"]), "--seed", str(summary["seed"])]
+    again += ["--confidence", f"{summary['confidence']:g}"]
     for name, value in summary["values"].items():
         again += ["-S", f"{name}={','.join(map(str, value if isinstance(value, list) else [value]))}"]
     return environment.get_template("report.html.j2").render(
@@ -72,8 +73,13 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
         manifest=manifest,
         sessions=folder.sessions(),
         zip=zip,
-        again=shlex.join([*again, "--rtol", str(manifest["identity"]["rtol"]), "--out", "again"]),
+        again=shlex.join([*again, *_solver(manifest["identity"]), "--out", "again"]),
     )
+
+
+def _solver(identity: Mapping[str, Any]) -> list[str]:
+    """The options of `qsmc verify` that decide the rows."""
+    return ["--rtol", f"{identity['rtol']:g}", "--max-steps", str(identity["max_steps"])]
 
 
 def _sentence(claim: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
