@@ -41,6 +41,17 @@ def prepare(
 
     Raises:
         ValueError: The folder belongs to another study (the keys that differ are named) or holds something else.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     qj.campaign.prepare(pathlib.Path(place, "run"), recipe).manifest["identity"]["seed"]
+        0
     """
     folder = RunFolder(path)
     if not folder.exists:

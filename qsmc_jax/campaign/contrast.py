@@ -61,6 +61,9 @@ def contrast(first: RunFolder, second: RunFolder) -> Contrast:
     Args:
         first: One campaign.
         second: Another, say with other gains.
+
+    Returns:
+        The contrast; `print` it.
     """
     asked = [folder.manifest["identity"] for folder in (first, second)]
     names = {**asked[0], **asked[1]}

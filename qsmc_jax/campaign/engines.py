@@ -61,6 +61,13 @@ class Dask(AbstractEngine):
     Attributes:
         client: A `distributed.Client`.
         retries: How often a block that failed is tried again.
+
+    Examples:
+        The client is that of your cluster, such as `distributed.Client("tcp://scheduler:8786")`:
+
+        >>> import qsmc_jax as qj
+        >>> qj.campaign.Dask(client=None, retries=5).retries
+        5
     """
 
     client: Any

@@ -47,6 +47,9 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         index: Index of the run; or else
         worst: which of the worst runs, from 1.
 
+    Returns:
+        The run, and whether it came out as recorded; `print` it.
+
     Raises:
         ValueError: Not exactly one of the two is given, or there is no such row.
     """

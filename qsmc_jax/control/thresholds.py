@@ -93,7 +93,8 @@ def critical_delay(gain: RealScalarLike, residual: RealScalarLike, rho: RealScal
     The least $\arg(-L(j \omega)) / \omega$, argument in $[0, 2 \pi)$, over all $\omega$ with $|L(j \omega)| = 1$.
     It is $\frac{\pi}{2 k'} = \rho g / (g^2 + w^2)$ for n = 1, and about $(\pi / 2 - c_{n-1} / k') / k'$ for large $k'$.
 
-    Arguments and errors: as `critical_period`.
+    Args:
+        gain, residual, rho, c: As for `critical_period`, errors too.
 
     Source: derived here: both say $1 + L(j \omega) e^{-j \omega h} = 0$; at the least such h a root first arrives.
     """
@@ -111,7 +112,8 @@ def critical_lag(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalar
     Up to it $T s^{n+1} + s^n + k' p(s)$ is Hurwitz: `inf` for n = 1, $1 / c_1$ for n = 2,
     $1 / c_2 - c_1 / (k' c_2^2)$ for n = 3; it tends to $1 / c_{n-1}$ for large $k'$, so no gain helps.
 
-    Arguments and errors: as `critical_period`.
+    Args:
+        gain, residual, rho, c: As for `critical_period`, errors too.
 
     Source: derived here: $1 + j \omega T = -L(j \omega)$, so $\mathrm{Re} L = -1$ and $T = -\mathrm{Im} L / \omega$.
         The root that the actuator adds comes from $-\infty$ as T leaves 0, so the least such T > 0 is the first loss.
@@ -132,7 +134,9 @@ def critical_actuator_frequency(
     The actuator is $\omega_a^2 / (s^2 + 2 \zeta \omega_a s + \omega_a^2)$. The limit is $k' / (2 \zeta)$ for n = 1, and
     tends to that for large $k'$ at any n.
 
-    Arguments and errors: as `critical_period`; `damping` is the actuator's damping ratio $\zeta$ [-], positive.
+    Args:
+        gain, residual, rho, c: As for `critical_period`, errors too.
+        damping: The actuator's damping ratio $\zeta$ [-], positive.
 
     Source: derived here: with $q = 1 / \omega_a$, $1 - \omega^2 q^2 + 2 j \zeta \omega q = -L(j \omega)$, so
         $q = -\mathrm{Im} L / (2 \zeta \omega)$ and $1 + \mathrm{Re} L = (\mathrm{Im} L)^2 / (4 \zeta^2)$; the least
@@ -269,7 +273,9 @@ def noise_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLi
 
     For noise that is small against $\rho$, at the samples, in the long run; `inf` from `critical_period` on.
 
-    Arguments: as `small_signal_gain`; `period` is the sample period [s], positive.
+    Args:
+        gain, residual, rho: As for `small_signal_gain`.
+        period: Sample period [s], positive.
 
     Source: derived here: $\sigma_{i+1} = (1 - k' \tau) \sigma_i - k' \tau \nu_i$, a first-order autoregression.
     """

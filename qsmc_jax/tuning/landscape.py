@@ -50,7 +50,11 @@ class Landscape:
         return efficient.reshape(self.is_feasible.shape)
 
     def plot(self, path: Sequence[Evaluation] = ()) -> Any:
-        """Contours of the objective, where the constraints are kept, and the path of a search (`Tuning.history`)."""
+        """Contours of the objective, where the constraints are kept, and the path of a search (`Tuning.history`).
+
+        Args:
+            path: Evaluations whose gains are to be joined; none for none.
+        """
         return plot_contour(self, path)
 
     def plot_pareto(self) -> Any:
@@ -91,6 +95,9 @@ def landscape(
         block: Runs solved together at most.
         threads: Blocks solved at the same time.
         progress: Called as `progress(done, all)` after each cell.
+
+    Returns:
+        The landscape; `plot` it.
 
     Raises:
         ValueError: An argument is out of range.

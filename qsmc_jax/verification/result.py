@@ -170,7 +170,11 @@ class Verification:
         return plot_verification(self)
 
     def plan(self, probability: float) -> int:
-        """Runs needed, without a violation, to bound the violation probability by `probability` at this confidence."""
+        """Runs needed, without a violation, to bound the violation probability by `probability` at this confidence.
+
+        Args:
+            probability: What is to be shown, strictly between 0 and 1.
+        """
         return runs_needed(probability, self.confidence)
 
     def __str__(self) -> str:
