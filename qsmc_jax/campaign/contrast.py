@@ -64,6 +64,20 @@ def contrast(first: RunFolder, second: RunFolder) -> Contrast:
 
     Returns:
         The contrast; `print` it.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
+        ...     _ = qj.campaign.run_campaign(folder, recipe, runs=64)
+        ...     found = qj.campaign.contrast(folder, folder)
+        >>> found.changes, found.paired, found.changed_count
+        ({}, 64, 0)
     """
     asked = [folder.manifest["identity"] for folder in (first, second)]
     names = {**asked[0], **asked[1]}

@@ -49,6 +49,11 @@ def small_signal_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealS
         residual: Residual w at rest, in units of the sliding variable per second; either sign.
         rho: Half-width of the funnel, in units of the sliding variable; positive.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.small_signal_gain(gain=2.0, residual=2.0, rho=0.5), 3)
+        12.566
+
     Source: derived here: the slope of $-g \tan(\pi \sigma / (2 \rho))$ where $\tan(\pi \sigma / (2 \rho)) = w / g$.
     """
     require_positive("gain", gain)
@@ -73,6 +78,11 @@ def critical_period(gain: RealScalarLike, residual: RealScalarLike, rho: RealSca
     Raises:
         ValueError: An argument is out of range, or the surface is not Hurwitz.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.critical_period(gain=1.0, residual=0.0, rho=1.0), 3)
+        1.273
+
     Source: derived here. $1/s^m$ behind a hold is $\tau^m B_m(z) / (m! (z - 1)^m)$ with the Eulerian polynomial
         $B_m$. With $z = (1 + s \tau / 2) / (1 - s \tau / 2)$ the closed loop has a polynomial in s of degree n, which
         tends to $s^n + k' p(s)$ as $\tau \to 0$, has a constant term > 0, and must be Hurwitz. Stability first goes
@@ -93,8 +103,7 @@ def critical_delay(gain: RealScalarLike, residual: RealScalarLike, rho: RealScal
     The least $\arg(-L(j \omega)) / \omega$, argument in $[0, 2 \pi)$, over all $\omega$ with $|L(j \omega)| = 1$.
     It is $\frac{\pi}{2 k'} = \rho g / (g^2 + w^2)$ for n = 1, and about $(\pi / 2 - c_{n-1} / k') / k'$ for large $k'$.
 
-    Args:
-        gain, residual, rho, c: As for `critical_period`, errors too.
+    Arguments and errors: as `critical_period`.
 
     Source: derived here: both say $1 + L(j \omega) e^{-j \omega h} = 0$; at the least such h a root first arrives.
     """
@@ -112,8 +121,7 @@ def critical_lag(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalar
     Up to it $T s^{n+1} + s^n + k' p(s)$ is Hurwitz: `inf` for n = 1, $1 / c_1$ for n = 2,
     $1 / c_2 - c_1 / (k' c_2^2)$ for n = 3; it tends to $1 / c_{n-1}$ for large $k'$, so no gain helps.
 
-    Args:
-        gain, residual, rho, c: As for `critical_period`, errors too.
+    Arguments and errors: as `critical_period`.
 
     Source: derived here: $1 + j \omega T = -L(j \omega)$, so $\mathrm{Re} L = -1$ and $T = -\mathrm{Im} L / \omega$.
         The root that the actuator adds comes from $-\infty$ as T leaves 0, so the least such T > 0 is the first loss.
@@ -134,9 +142,7 @@ def critical_actuator_frequency(
     The actuator is $\omega_a^2 / (s^2 + 2 \zeta \omega_a s + \omega_a^2)$. The limit is $k' / (2 \zeta)$ for n = 1, and
     tends to that for large $k'$ at any n.
 
-    Args:
-        gain, residual, rho, c: As for `critical_period`, errors too.
-        damping: The actuator's damping ratio $\zeta$ [-], positive.
+    Arguments and errors: as `critical_period`; `damping` is the actuator's damping ratio $\zeta$ [-], positive.
 
     Source: derived here: with $q = 1 / \omega_a$, $1 - \omega^2 q^2 + 2 j \zeta \omega q = -L(j \omega)$, so
         $q = -\mathrm{Im} L / (2 \zeta \omega)$ and $1 + \mathrm{Re} L = (\mathrm{Im} L)^2 / (4 \zeta^2)$; the least
@@ -273,9 +279,7 @@ def noise_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLi
 
     For noise that is small against $\rho$, at the samples, in the long run; `inf` from `critical_period` on.
 
-    Args:
-        gain, residual, rho: As for `small_signal_gain`.
-        period: Sample period [s], positive.
+    Arguments: as `small_signal_gain`; `period` is the sample period [s], positive.
 
     Source: derived here: $\sigma_{i+1} = (1 - k' \tau) \sigma_i - k' \tau \nu_i$, a first-order autoregression.
     """

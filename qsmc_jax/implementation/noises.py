@@ -83,8 +83,8 @@ class Uniform(AbstractNoise):
         >>> import qsmc_jax as qj
         >>> noise = qj.noises.Uniform(amplitude=[0.5, 0.0])
         >>> with jax.enable_x64(True):
-        ...     first, second = noise(t=0.0, k=0)
-        >>> bool(abs(first) <= 0.5), float(abs(second))
+        ...     first, second = (float(value) for value in noise(t=0.0, k=0))
+        >>> abs(first) <= 0.5, abs(second)
         (True, 0.0)
     """
 
