@@ -5,6 +5,7 @@ import doctest
 import importlib
 import inspect
 import re
+import sys
 
 import jax
 import pytest
@@ -77,9 +78,11 @@ def documented(thing, heading):
 
 def arguments(function):
     """The arguments that a function explains, or that a neighbour does for it."""
-    like = AS_FOR.search(inspect.getdoc(function) or "")
-    told = documented(function, "Args")
-    return told | arguments(function.__globals__[like[1]]) | set(re.findall(r"`(\w+)`", like[2])) if like else told
+    like, told = AS_FOR.search(inspect.getdoc(function) or ""), documented(function, "Args")
+    if like is None:
+        return told
+    neighbour = getattr(sys.modules[function.__module__], like[1])
+    return told | documented(neighbour, "Args") | set(re.findall(r"`(\w+)`", like[2]))
 
 
 def parameters(function):
@@ -209,6 +212,13 @@ def leaky(told: float, untold: float) -> float:
     return told + untold
 
 
+def like_leaky(told: float, own: float, untold: float) -> None:
+    """Takes what a neighbour tells, and more.
+
+    Arguments: as `leaky`; `own` is told here.
+    """
+
+
 def silent(*values: float) -> None:
     pass
 
@@ -219,6 +229,10 @@ def test_a_field_and_an_argument_without_a_word_are_found():
 
 def test_an_argument_and_a_result_without_a_word_are_found():
     assert holes(leaky) == ["argument untold", "what it returns"]
+
+
+def test_arguments_may_be_those_of_a_neighbour_that_tells_them():
+    assert holes(like_leaky) == ["argument untold"]
 
 
 def test_a_missing_docstring_is_found():

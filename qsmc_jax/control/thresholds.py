@@ -51,8 +51,8 @@ def small_signal_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealS
 
     Examples:
         >>> from qsmc_jax import thresholds
-        >>> round(thresholds.small_signal_gain(gain=2.0, residual=2.0, rho=0.5), 3)
-        12.566
+        >>> round(thresholds.small_signal_gain(gain=2.0, residual=0.0, rho=1.0), 3)
+        3.142
 
     Source: derived here: the slope of $-g \tan(\pi \sigma / (2 \rho))$ where $\tan(\pi \sigma / (2 \rho)) = w / g$.
     """
