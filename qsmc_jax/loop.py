@@ -64,6 +64,16 @@ class ClosedLoop(AbstractModule):
             a law that the paper does not treat has no implementation. Whether an implementation fits the order and the
             horizon is checked where there is one: by `Scenario` and `simulate`.
 
+    Examples:
+        The sliding variable of a pendulum at 0.5 rad and 1 rad/s, c_1 x_1 + x_2:
+
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> rest, calm = qj.references.Constant(0.0), qj.disturbances.Zero()
+        >>> loop = qj.ClosedLoop(qj.plants.InvertedPendulum(), rest, calm, control)
+        >>> loop.order, float(loop.sliding_variable(0.0, (0.5, 1.0)))
+        (2, 2.0)
+
     Source: paper, eqs. (1), (2), (4).
     """
 
@@ -94,34 +104,69 @@ class ClosedLoop(AbstractModule):
         return self.plant.order
 
     def desired(self, t: RealScalarLike) -> tuple[RealScalarLike, ...]:
-        """The desired output and its first n derivatives at time t [s]: n + 1 scalars."""
+        """The desired output and its first n derivatives at time t [s]: n + 1 scalars.
+
+        Args:
+            t: Time [s].
+        """
         return self.reference.derivatives(t, self.order)
 
     def state(self, errors: State, desired: State) -> tuple[RealScalarLike, ...]:
-        r"""The state $x_{i+1} = x_{des}^{(i)} + e^{(i)}$; `desired` is `self.desired(t)`, which callers have."""
+        r"""The state $x_{i+1} = x_{des}^{(i)} + e^{(i)}$; `desired` is `self.desired(t)`, which callers have.
+
+        Args:
+            errors: Errors, n scalars.
+            desired: Desired output and its first n derivatives.
+        """
         return tuple(ei + di for ei, di in zip(errors, desired, strict=False))
 
     def errors(self, t: RealScalarLike, x: State) -> tuple[RealScalarLike, ...]:
-        r"""The errors $e^{(i)} = x_{i+1} - x_{des}^{(i)}$, i = 0..n-1."""
+        r"""The errors $e^{(i)} = x_{i+1} - x_{des}^{(i)}$, i = 0..n-1.
+
+        Args:
+            t: Time [s].
+            x: State, n scalars.
+        """
         return tuple(xi - di for xi, di in zip(x, self.desired(t), strict=False))
 
     def sliding_variable(self, t: RealScalarLike, x: State) -> RealScalarLike:
-        r"""The sliding variable $\sigma$, paper eq. (2)."""
+        r"""The sliding variable $\sigma$, paper eq. (2).
+
+        Args:
+            t: Time [s].
+            x: State, n scalars.
+        """
         return self.control.surface(self.errors(t, x))
 
     def input(self, t: RealScalarLike, x: State) -> RealScalarLike:
-        """The input u of the ideal loop, paper eq. (4); NaN outside the funnel, where the law is not defined."""
+        """The input u of the ideal loop, paper eq. (4); NaN outside the funnel, where the law is not defined.
+
+        Args:
+            t: Time [s].
+            x: State, n scalars.
+        """
         law: Any = self.control  # a `QuasiSlidingControl`: the constructor sees to it
         return law(self.sliding_variable(t, x), self.control.funnel(t))
 
     def balance(self, t: RealScalarLike, errors: State, desired: State) -> Balance:
-        """The terms of the sliding variable's derivative; `desired` is `self.desired(t)`, which callers have."""
+        """The terms of the sliding variable's derivative; `desired` is `self.desired(t)`, which callers have.
+
+        Args:
+            t: Time [s].
+            errors: Errors, n scalars.
+            desired: Desired output and its first n derivatives.
+        """
         d, x = self.disturbance(t), self.state(errors, desired)
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
         return Balance(residual, self.plant.gain(t, x), d)
 
     def terms(self, t: RealScalarLike, x: State) -> Terms:
-        """What moves the plant at time t and state x, apart from the input."""
+        """What moves the plant at time t and state x, apart from the input.
+
+        Args:
+            t: Time [s].
+            x: State, n scalars.
+        """
         plan = self.implementation
         gain = self.plant.gain(t, x)
         if plan is not None and plan.gain_fault is not None:
@@ -130,12 +175,23 @@ class ClosedLoop(AbstractModule):
         return Terms(self.plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
 
     def rates(self, terms: Terms, x: State, u: RealScalarLike) -> Scalars:
-        """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`."""
+        """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`.
+
+        Args:
+            terms: What moves the plant, apart from the input.
+            x: State, n scalars.
+            u: Input.
+        """
         chain = (xi + di for xi, di in zip(x[1:], terms.unmatched, strict=True))
         return (*chain, terms.drift + terms.gain * u + terms.disturbance)
 
     def vector_field(self, t: RealScalarLike, x: State) -> Scalars:
-        """The state's derivative in the ideal loop, paper eq. (1) under eq. (4); NaN outside the funnel."""
+        """The state's derivative in the ideal loop, paper eq. (1) under eq. (4); NaN outside the funnel.
+
+        Args:
+            t: Time [s].
+            x: State, n scalars.
+        """
         return self.rates(self.terms(t, x), x, self.input(t, x))
 
     @property

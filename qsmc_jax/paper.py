@@ -26,13 +26,27 @@ PRINTED_REACHING_TIME = MappingProxyType({1: 1.5, 2: 1.53})
 
 
 def example1() -> ClosedLoop:
-    """Example 1: an inverted pendulum follows sin t under d = 0.5 sin t; c_1 = 2, rho = 4 exp(-3 t) + 0.05."""
+    """Example 1: an inverted pendulum follows sin t under d = 0.5 sin t; c_1 = 2, rho = 4 exp(-3 t) + 0.05.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> loop = qj.paper.example1()
+        >>> loop.order, loop.control.surface.c.tolist()
+        (2, [2.0])
+    """
     control = QuasiSlidingControl(SlidingSurface([2.0]), Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
     return ClosedLoop(InvertedPendulum(), SumOfSines([1.0], [1.0]), Sine(0.5, 1.0), control)
 
 
 def example2() -> ClosedLoop:
-    """Example 2: order 4, y_des = sin t + cos 0.5 t, a disturbance that kinks at 6 s and jumps at 9 s."""
+    """Example 2: order 4, y_des = sin t + cos 0.5 t, a disturbance that kinks at 6 s and jumps at 9 s.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> loop = qj.paper.example2()
+        >>> loop.order, loop.control.surface.c.tolist(), float(loop.disturbance.bound)
+        (4, [6.0, 12.0, 8.0], 2.0)
+    """
     control = QuasiSlidingControl(SlidingSurface([6.0, 12.0, 8.0]), Funnel(rho0=5.0, mu=3.0, rho_inf=0.05))
     reference = SumOfSines([1.0, 1.0], [1.0, 0.5], [0.0, math.pi / 2])
     pieces = (Sine(0.5, math.pi / 2), Sine(1.0, math.pi), Sine(1.0, math.pi, math.pi / 2) + Constant(-1.0))

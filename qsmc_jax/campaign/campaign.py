@@ -41,6 +41,17 @@ def prepare(
 
     Raises:
         ValueError: The folder belongs to another study (the keys that differ are named) or holds something else.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     qj.campaign.prepare(pathlib.Path(place, "run"), recipe).manifest["identity"]["seed"]
+        0
     """
     folder = RunFolder(path)
     if not folder.exists:
@@ -86,6 +97,18 @@ def run_campaign(
     Raises:
         ValueError: An argument is out of range, or a file can't be written, or the study gives other rows than the
             folder has.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
+        ...     print(qj.campaign.run_campaign(folder, recipe, runs=64).conclusion())
+        HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
     require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
     require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
@@ -140,6 +163,21 @@ def work_shard(
 
     Returns:
         Whether it came to the end.
+
+    Examples:
+        Worker 1 of 2 solves the second of two blocks:
+
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe, file_runs=64)
+        ...     _ = folder.ask_for(128, is_anytime=False)
+        ...     qj.campaign.work_shard(folder, recipe, shard=1, shards=2), folder.missing(0, 128)
+        (True, [range(0, 64)])
     """
     require(0 <= shard < shards, f"Argument `shard` must be i/n with 0 <= i < n, but is {shard}/{shards}.")
     asked_for = folder.manifest["asked_for"]

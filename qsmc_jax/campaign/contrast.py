@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from qsmc_jax.base.checks import require
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.study.runs import Runs, concatenate
@@ -61,6 +62,23 @@ def contrast(first: RunFolder, second: RunFolder) -> Contrast:
     Args:
         first: One campaign.
         second: Another, say with other gains.
+
+    Returns:
+        The contrast; `print` it.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
+        ...     _ = qj.campaign.run_campaign(folder, recipe, runs=64)
+        ...     found = qj.campaign.contrast(folder, folder)
+        >>> found.changes, found.paired, found.changed_count
+        ({}, 64, 0)
     """
     asked = [folder.manifest["identity"] for folder in (first, second)]
     names = {**asked[0], **asked[1]}
@@ -104,4 +122,6 @@ def _counts(folder: RunFolder) -> dict[str, int]:
 
 def _head(folder: RunFolder) -> Runs:
     """The first rows."""
-    return concatenate(list(folder.tables(0, _ROWS)))
+    tables = list(folder.tables(0, _ROWS))
+    require(bool(tables), f"Folder `{folder.path}` has no rows yet.")
+    return concatenate(tables)

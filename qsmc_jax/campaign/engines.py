@@ -40,7 +40,20 @@ class AbstractEngine(abc.ABC):
 
 
 class Threads(AbstractEngine):
-    """This process: one block at a time, its pieces over threads, while the one before is written."""
+    """This process: one block at a time, its pieces over threads, while the one before is written.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
+        ...     qj.campaign.run_campaign(folder, recipe, runs=64, engine=qj.campaign.Threads()).verdict.name
+        'HELD'
+    """
 
     def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
         before: tuple[Task, Future[list[Solved]]] | None = None
@@ -61,6 +74,13 @@ class Dask(AbstractEngine):
     Attributes:
         client: A `distributed.Client`.
         retries: How often a block that failed is tried again.
+
+    Examples:
+        The client is that of your cluster, such as `distributed.Client("tcp://scheduler:8786")`:
+
+        >>> import qsmc_jax as qj
+        >>> qj.campaign.Dask(client=None, retries=5).retries
+        5
     """
 
     client: Any

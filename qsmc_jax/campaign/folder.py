@@ -27,6 +27,18 @@ class RunFolder:
 
     Attributes:
         path: The folder.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
+        ...     qj.campaign.RunFolder.open(folder.path).missing(0, 128)
+        [range(0, 128)]
     """
 
     path: Path
@@ -80,6 +92,9 @@ class RunFolder:
     def open(cls, path: Path) -> "RunFolder":
         """A folder that exists.
 
+        Args:
+            path: The folder.
+
         Raises:
             ValueError: It is none, or of a newer version of this package.
         """
@@ -104,6 +119,9 @@ class RunFolder:
     def read_json(self, name: str) -> dict[str, Any]:
         """A JSON file of the folder.
 
+        Args:
+            name: Its name, relative to the folder.
+
         Raises:
             ValueError: It is missing or damaged.
         """
@@ -113,11 +131,19 @@ class RunFolder:
             raise ValueError(f"File `{self.path / name}` can't be read: {error}.") from None
 
     def check(self, recipe: Recipe) -> None:
-        """Raises, with the keys that differ, unless the recipe is the folder's own."""
+        """Raises, with the keys that differ, unless the recipe is the folder's own.
+
+        Args:
+            recipe: What is asked for.
+        """
         require_same(self.manifest["identity"], recipe.identity, str(self.path))
 
     def ask_for(self, runs: int, is_anytime: bool) -> bool:
         """Notes how many runs are asked for; from the second number on, or with a stopping rule, one has looked.
+
+        Args:
+            runs: How many.
+            is_anytime: Whether there is a stopping rule.
 
         Returns:
             Whether intervals must hold at any time.
@@ -134,7 +160,12 @@ class RunFolder:
         return changed["is_anytime"]
 
     def sound_files(self, start: int, stop: int) -> list[BlockFile]:
-        """Files with runs of a range whose bytes are as they were written; others are put aside, with a warning."""
+        """Files with runs of a range whose bytes are as they were written; others are put aside, with a warning.
+
+        Args:
+            start: First run.
+            stop: Run after the last.
+        """
         sound = []
         for file in block_files(self.path / "blocks"):
             if file.start < stop and file.stop > start:
@@ -145,16 +176,31 @@ class RunFolder:
         return sound
 
     def missing(self, start: int, stop: int) -> list[range]:
-        """What of the runs start ... stop - 1 is still to be solved."""
+        """What of the runs start ... stop - 1 is still to be solved.
+
+        Args:
+            start: First run.
+            stop: Run after the last.
+        """
         return gaps(self.sound_files(start, stop), start, stop)
 
     def add(self, solved: Solved, specs: tuple[DrawSpec, ...]) -> None:
-        """Writes rows of consecutive runs as a block file."""
+        """Writes rows of consecutive runs as a block file.
+
+        Args:
+            solved: The rows, and what they cost.
+            specs: The names that they were drawn by.
+        """
         about = {"climbed": solved.climbed, "defects": solved.defects}
         write_block(self.path / "blocks", solved.rows, about, specs)
 
     def tables(self, start: int = 0, stop: int | None = None) -> Iterator[Runs]:
-        """Rows of the runs start ... stop - 1 that there are, in order, each once; damaged files are passed over."""
+        """Rows of the runs start ... stop - 1 that there are, in order, each once; damaged files are passed over.
+
+        Args:
+            start: First run.
+            stop: Run after the last; None for all.
+        """
         reached = start
         for file in block_files(self.path / "blocks"):
             if (stop is not None and file.start >= stop) or file.stop <= reached:
@@ -168,7 +214,11 @@ class RunFolder:
             reached = file.stop
 
     def effort(self, stop: int) -> dict[str, Any]:
-        """Climbed runs and defects of the blocks up to a run."""
+        """Climbed runs and defects of the blocks up to a run.
+
+        Args:
+            stop: Run after the last.
+        """
         climbed, defects = [0, 0], set()
         for file in block_files(self.path / "blocks"):
             if file.start < stop:
@@ -182,13 +232,22 @@ class RunFolder:
         return [self.read_json(f"sessions/{path.name}") for path in sorted((self.path / "sessions").glob("[!.]*.json"))]
 
     def begin_session(self, provenance: Mapping[str, Any]) -> "Session":
-        """A note for the work of this process."""
+        """A note for the work of this process.
+
+        Args:
+            provenance: Versions, machine and time, plain values.
+        """
         began = datetime.datetime.now(datetime.UTC)
         name = f"{began:%Y%m%dT%H%M%S%f}-{platform.node()}-{os.getpid()}.json"
         return Session(self.path / "sessions" / name, {"began": began.isoformat(), "provenance": dict(provenance)})
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
-        """Writes a JSON file of the folder."""
+        """Writes a JSON file of the folder.
+
+        Args:
+            name: Its name, relative to the folder.
+            content: Plain values.
+        """
         write_whole(self.path / name, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
     def _write_manifest(self, content: Mapping[str, Any]) -> None:

@@ -32,6 +32,17 @@ class Recipe:
         settings: Method and tolerances of the first solve.
         block: Runs solved together, a multiple of 64; the rows do not depend on it.
         threads: Blocks solved at the same time; None for one a core.
+
+    Examples:
+        Comments and layout of the file do not count:
+
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> identity = qj.campaign.Recipe(study, source="gain = 1  # a first try").identity
+        >>> identity == qj.campaign.Recipe(study, source="gain=1").identity
+        True
     """
 
     study: Study
@@ -68,7 +79,11 @@ class Recipe:
         return Planner(lanes, self.seed, Random())
 
     def solve(self, runs: range) -> "Solved":
-        """Solves and decides consecutive runs; not by two threads at once."""
+        """Solves and decides consecutive runs; not by two threads at once.
+
+        Args:
+            runs: Their indices.
+        """
         planner, workload, begin = self.planner, Workload(), time.perf_counter()
         solve = ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
         ladder = Ladder(solve, self.settings, self.block)

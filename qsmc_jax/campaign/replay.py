@@ -48,8 +48,24 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         index: Index of the run; or else
         worst: which of the worst runs, from 1.
 
+    Returns:
+        The run, and whether it came out as recorded; `print` it.
+
     Raises:
         ValueError: Not exactly one of the two is given, or there is no such row.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
+        ...     _ = qj.campaign.run_campaign(folder, recipe, runs=64)
+        ...     qj.campaign.replay(folder, recipe, index=17, worst=None).agrees
+        True
     """
     require((index is None) != (worst is None), "One of `--run` and `--worst` must say which run.")
     row = _row(folder, index) if index is not None else _worst(folder, worst or 0)

@@ -51,7 +51,26 @@ class Status:
 
 
 def status_of(folder: RunFolder) -> Status:
-    """Reads the folder; nothing is changed."""
+    """Reads the folder; nothing is changed.
+
+    Args:
+        folder: The run folder.
+
+    Returns:
+        The status; `print` it.
+
+    Examples:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> with tempfile.TemporaryDirectory() as place:
+        ...     status = qj.campaign.status_of(qj.campaign.prepare(pathlib.Path(place, "run"), recipe))
+        >>> status.solved, status.asked_for
+        (0, 0)
+    """
     manifest, files = folder.manifest, block_files(folder.path / "blocks")
     asked_for = max(manifest["asked_for"], default=0)
     sound = [file for file in files if file.is_sound]

@@ -43,6 +43,12 @@ class Sign(AbstractControl):
         amplitude: K, in units of the input, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> float(qj.controllers.Sign.for_bound(control, residual_bound=3.0, gain_min=2.0, reaching_rate=1.0).amplitude)
+        2.0
+
     Source: Utkin, Sliding Modes in Control and Optimization (1992).
     """
 
@@ -92,6 +98,12 @@ class BoundaryLayer(AbstractControl):
         width: Half-width $\phi$ of the layer, in units of the sliding variable, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> round(float(qj.controllers.BoundaryLayer.with_equal_slope(control, amplitude=1.0).width), 4)
+        0.0318
+
     Source: Slotine and Li, Applied Nonlinear Control (1991), section 7.2.
     """
 
@@ -105,7 +117,12 @@ class BoundaryLayer(AbstractControl):
 
     @classmethod
     def with_equal_slope(cls, control: QuasiSlidingControl, amplitude: RealScalarLike) -> "BoundaryLayer":
-        r"""The layer with the slope $\pi / 2\rho_\infty$ of `control` at $\sigma = 0$ and $\rho = \rho_\infty$."""
+        r"""The layer with the slope $\pi / 2\rho_\infty$ of `control` at $\sigma = 0$ and $\rho = \rho_\infty$.
+
+        Args:
+            control: What it is to be compared with.
+            amplitude: K, in units of the input, positive.
+        """
         return cls(control.surface, control.funnel, amplitude, amplitude / _slope(control), control.gain_sign)
 
     @classmethod
@@ -159,6 +176,13 @@ class SuperTwisting(AbstractControl):
         k1: Gain on the root, in units of the input per root of the sliding variable's, positive.
         k2: Gain on the integral, in units of the input per second, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> law = qj.controllers.SuperTwisting.for_rate(control, residual_rate=4.0, gain_min=1.0)
+        >>> float(law.k1), float(law.k2)
+        (3.0, 4.4)
 
     Source: Levant, Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58 (1993).
     """
@@ -217,6 +241,12 @@ class PrescribedPerformance(AbstractControl):
         gain: k, in units of the input, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> round(float(qj.controllers.PrescribedPerformance.with_equal_slope(control).gain), 4)
+        0.7854
+
     Source: Bechlioulis and Rovithakis, IEEE Trans. Automatic Control 53 (2008), for the transformation, and Automatica
     50 (2014), for the law without adaptation; both have it on the errors one by one, here it acts on $\sigma$.
     """
@@ -230,7 +260,11 @@ class PrescribedPerformance(AbstractControl):
 
     @classmethod
     def with_equal_slope(cls, control: QuasiSlidingControl) -> "PrescribedPerformance":
-        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi / 4$."""
+        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi / 4$.
+
+        Args:
+            control: What it is to be compared with.
+        """
         return cls(control.surface, control.funnel, 0.25 * math.pi, control.gain_sign)
 
     def first_memory(self) -> Scalars:
@@ -253,6 +287,12 @@ class FunnelControl(AbstractControl):
         gain: k, in units of the input, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> round(float(qj.controllers.FunnelControl.with_equal_slope(control).gain), 4)
+        1.5708
+
     Source: Ilchmann, Ryan and Sangwin, ESAIM: COCV 7 (2002), with the gain $1 / (1 - |z|)$ on the error; this smooth
     gain is that of Berger, Le and Reis, Automatica 87 (2018). Here it acts on $\sigma$, in units of $\rho$.
     """
@@ -266,7 +306,11 @@ class FunnelControl(AbstractControl):
 
     @classmethod
     def with_equal_slope(cls, control: QuasiSlidingControl) -> "FunnelControl":
-        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi / 2$."""
+        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi / 2$.
+
+        Args:
+            control: What it is to be compared with.
+        """
         return cls(control.surface, control.funnel, 0.5 * math.pi, control.gain_sign)
 
     def first_memory(self) -> Scalars:
@@ -290,6 +334,12 @@ class ProportionalDerivative(AbstractControl):
         gain: k, in units of the input per unit of the sliding variable, positive.
         feedforward: $k_f$, in units of the input per unit of $x_{des}^{(n)}$: an estimate of $1 / |g|$; 0 for none.
         gain_sign: The sign of the control gain g, 1 or -1.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> round(float(qj.controllers.ProportionalDerivative.with_equal_slope(control).gain), 3)
+        31.416
     """
 
     surface: SlidingSurface
@@ -307,7 +357,12 @@ class ProportionalDerivative(AbstractControl):
     def with_equal_slope(
         cls, control: QuasiSlidingControl, feedforward: RealScalarLike = 0.0
     ) -> "ProportionalDerivative":
-        r"""The law with the slope of `control` at $\sigma = 0$ and $\rho = \rho_\infty$, $k = \pi / 2\rho_\infty$."""
+        r"""The law with the slope of `control` at $\sigma = 0$ and $\rho = \rho_\infty$, $k = \pi / 2\rho_\infty$.
+
+        Args:
+            control: What it is to be compared with.
+            feedforward: $k_f$; 0 for none.
+        """
         return cls(control.surface, control.funnel, _slope(control), feedforward, control.gain_sign)
 
     def first_memory(self) -> Scalars:

@@ -18,6 +18,12 @@ class Funnel(AbstractModule):
         mu: Decay rate $\mu$ [1/s], positive.
         rho_inf: Final half-width $\rho_\infty$, positive.
 
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> funnel = qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05)
+        >>> round(float(funnel(0.0)), 2), round(float(funnel.reaching_time(0.1)), 2)
+        (4.05, 1.46)
+
     Source: paper, eq. (3).
     """
 
@@ -35,7 +41,11 @@ class Funnel(AbstractModule):
         return self.width_and_rate(t)[0]
 
     def width_and_rate(self, t: RealScalarLike) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        r"""The half-width $\rho$ and its derivative $\dot\rho = -\mu\rho_0 e^{-\mu t}$ at `t` [s], by one `exp`."""
+        r"""The half-width $\rho$ and its derivative $\dot\rho = -\mu\rho_0 e^{-\mu t}$ at `t` [s], by one `exp`.
+
+        Args:
+            t: Time [s].
+        """
         excess = self.rho0 * jnp.exp(-self.mu * t)
         return excess + self.rho_inf, -self.mu * excess
 
@@ -58,7 +68,11 @@ class Funnel(AbstractModule):
         return jnp.where(reached, jnp.maximum(time, 0.0), jnp.inf)
 
     def admits(self, bandwidth: RealScalarLike) -> BoolScalarLike:
-        r"""Whether the numbers are positive and condition C2 holds, strictly: $\rho_\infty < \varepsilon < \rho_0$."""
+        r"""Whether the numbers are positive and condition C2 holds, strictly: $\rho_\infty < \varepsilon < \rho_0$.
+
+        Args:
+            bandwidth: Bandwidth $\varepsilon$ of the quasi-sliding mode, in units of the sliding variable.
+        """
         return self.is_valid() & (self.rho_inf < bandwidth) & (bandwidth < self.rho0)
 
     def is_valid(self) -> BoolScalarLike:

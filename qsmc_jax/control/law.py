@@ -24,6 +24,14 @@ class QuasiSlidingControl(AbstractControl):
         funnel: Funnel $\rho(t)$.
         gain_sign: The sign of the control gain g, 1 or -1.
 
+    Examples:
+        Half-way to the edge the input is 1:
+
+        >>> import qsmc_jax as qj
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> round(float(control(sigma=0.5, rho=1.0)), 3), float(control(sigma=1.5, rho=1.0))
+        (-1.0, nan)
+
     Source: paper, eq. (4). The paper's law is given inside the funnel only; the next branches of the tangent, which
     point the wrong way, are never used: outside, u is NaN.
     """

@@ -29,6 +29,16 @@ class SlidingSurface(AbstractModule):
     Raises:
         ValueError: If p is not Hurwitz; the message names the root. A traced `c` is not checked: see `is_hurwitz`.
 
+    Examples:
+        Both roots at -2, $(s + 2)^2 = s^2 + 4 s + 4$:
+
+        >>> import qsmc_jax as qj
+        >>> surface = qj.SlidingSurface.binomial(2.0, order=3)
+        >>> surface.c.tolist(), surface((1.0, 0.0, 0.5)).item()
+        ([4.0, 4.0], 4.5)
+        >>> [round(bound, 3) for bound in surface.paper_bounds(0.1).tolist()]
+        [0.025, 0.1, 0.4]
+
     Source: paper, eq. (2).
     """
 

@@ -16,7 +16,6 @@ Each limit says what it is worth:
 Numbers only, nothing traced; results are Python floats. Arguments out of range raise `ValueError`.
 """
 
-import itertools as it
 import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
@@ -24,12 +23,19 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import ArrayLike, Float
 from numpy.polynomial import Polynomial
-from scipy import optimize, special
+from scipy import special
 
 from qsmc_jax.base.checks import require, require_finite, require_nonnegative, require_positive, show
-from qsmc_jax.base.hurwitz import is_hurwitz
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.linearised_loop import (
+    determinant,
+    hurwitz_matrix,
+    is_stable,
+    loop_parts,
+    positive_roots,
+    sampled_loop,
+)
 from qsmc_jax.control.surface import SlidingSurface
 
 Coefficients: TypeAlias = Sequence[float] | Float[ArrayLike, " c"]
@@ -38,7 +44,6 @@ _LEAST_CONTROL = 1e-6  # the smallest tan(pi z / 2) that `sufficient_period` tri
 _POINTS, _ROUNDS = 256, 2  # the search is narrowed twice, 128 times each: to 1e-5 of the best
 _NEWTON_STEPS = 12  # they converge quadratically: to rounding for bounds up to 1e8, to 1e-9 at 1e12
 _CLEARANCE = 1e-9  # closer to where no period will do, the quotient would lose its digits
-_TINY = 1e-300  # absolute tolerance of root finding: none, the relative one decides
 
 
 def small_signal_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLike) -> float:
@@ -48,6 +53,11 @@ def small_signal_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealS
         gain: Size of the input gain $|g|$, in units of the sliding variable per second and unit of input; positive.
         residual: Residual w at rest, in units of the sliding variable per second; either sign.
         rho: Half-width of the funnel, in units of the sliding variable; positive.
+
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.small_signal_gain(gain=2.0, residual=0.0, rho=1.0), 3)
+        3.142
 
     Source: derived here: the slope of $-g \tan(\pi \sigma / (2 \rho))$ where $\tan(\pi \sigma / (2 \rho)) = w / g$.
     """
@@ -73,6 +83,11 @@ def critical_period(gain: RealScalarLike, residual: RealScalarLike, rho: RealSca
     Raises:
         ValueError: An argument is out of range, or the surface is not Hurwitz.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.critical_period(gain=1.0, residual=0.0, rho=1.0), 3)
+        1.273
+
     Source: derived here. $1/s^m$ behind a hold is $\tau^m B_m(z) / (m! (z - 1)^m)$ with the Eulerian polynomial
         $B_m$. With $z = (1 + s \tau / 2) / (1 - s \tau / 2)$ the closed loop has a polynomial in s of degree n, which
         tends to $s^n + k' p(s)$ as $\tau \to 0$, has a constant term > 0, and must be Hurwitz. Stability first goes
@@ -80,11 +95,11 @@ def critical_period(gain: RealScalarLike, residual: RealScalarLike, rho: RealSca
         determinant n - 1 vanishes, Orlando's formula). Both are polynomials in $\tau$.
     """
     k, a = _linearised_loop(gain, residual, rho, c)
-    if not _is_stable(a):
+    if not is_stable(a):
         return 0.0
-    coefficients = _sampled_loop(a)
-    conditions = coefficients[-1], _determinant(_hurwitz_matrix(coefficients))
-    return min(root for condition in conditions for root in _positive_roots(condition)) / k
+    coefficients = sampled_loop(a)
+    conditions = coefficients[-1], determinant(hurwitz_matrix(coefficients))
+    return min(root for condition in conditions for root in positive_roots(condition)) / k
 
 
 def critical_delay(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLike, c: Coefficients = ()) -> float:
@@ -95,13 +110,18 @@ def critical_delay(gain: RealScalarLike, residual: RealScalarLike, rho: RealScal
 
     Arguments and errors: as `critical_period`.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.critical_delay(gain=1.0, residual=0.0, rho=1.0), 9)
+        1.0
+
     Source: derived here: both say $1 + L(j \omega) e^{-j \omega h} = 0$; at the least such h a root first arrives.
     """
     k, a = _linearised_loop(gain, residual, rho, c)
-    if not _is_stable(a):
+    if not is_stable(a):
         return 0.0
-    real, lag = _loop_parts(a)
-    crossings = _positive_roots(real**2 + Polynomial([0.0, 1.0]) * lag**2 - 1.0)
+    real, lag = loop_parts(a)
+    crossings = positive_roots(real**2 + Polynomial([0.0, 1.0]) * lag**2 - 1.0)
     return min(math.atan2(math.sqrt(y) * lag(y), -real(y)) % (2.0 * math.pi) * math.sqrt(y) for y in crossings) / k
 
 
@@ -113,14 +133,19 @@ def critical_lag(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalar
 
     Arguments and errors: as `critical_period`.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.critical_lag(gain=1.0, residual=0.0, rho=0.01, c=[2.0]), 9)  # 1 / c
+        0.5
+
     Source: derived here: $1 + j \omega T = -L(j \omega)$, so $\mathrm{Re} L = -1$ and $T = -\mathrm{Im} L / \omega$.
         The root that the actuator adds comes from $-\infty$ as T leaves 0, so the least such T > 0 is the first loss.
     """
     k, a = _linearised_loop(gain, residual, rho, c)
-    if not _is_stable(a):
+    if not is_stable(a):
         return 0.0
-    real, lag = _loop_parts(a)
-    lags = (float(y * lag(y)) for y in _positive_roots(real + 1.0))
+    real, lag = loop_parts(a)
+    lags = (float(y * lag(y)) for y in positive_roots(real + 1.0))
     return min((value for value in lags if value > 0), default=math.inf) / k
 
 
@@ -134,17 +159,22 @@ def critical_actuator_frequency(
 
     Arguments and errors: as `critical_period`; `damping` is the actuator's damping ratio $\zeta$ [-], positive.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.critical_actuator_frequency(2.0, 0.0, rho=1.0, damping=0.5), 3)  # k' / (2 zeta)
+        3.142
+
     Source: derived here: with $q = 1 / \omega_a$, $1 - \omega^2 q^2 + 2 j \zeta \omega q = -L(j \omega)$, so
         $q = -\mathrm{Im} L / (2 \zeta \omega)$ and $1 + \mathrm{Re} L = (\mathrm{Im} L)^2 / (4 \zeta^2)$; the least
         q > 0 is the first loss.
     """
     require_positive("damping", damping)
     k, a = _linearised_loop(gain, residual, rho, c)
-    if not _is_stable(a):
+    if not is_stable(a):
         return math.inf
-    real, lag = _loop_parts(a)
+    real, lag = loop_parts(a)
     twice = 2.0 * float(damping)
-    crossings = _positive_roots(real + 1.0 - Polynomial([0.0, 1.0]) * lag**2 / twice**2)
+    crossings = positive_roots(real + 1.0 - Polynomial([0.0, 1.0]) * lag**2 / twice**2)
     return k * twice / min(float(y * lag(y)) for y in crossings if lag(y) > 0)
 
 
@@ -157,6 +187,12 @@ def sufficient_saturation(residual_bound: RealScalarLike, gain_min: RealScalarLi
         residual_bound: Bound W on $|w|$ while in the funnel, in units of the sliding variable per second; at least 0.
         gain_min: Least size of the input gain, positive.
         funnel: The funnel.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> funnel = qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05)
+        >>> qj.thresholds.sufficient_saturation(residual_bound=2.0, gain_min=0.5, funnel=funnel)  # (2 + 3 * 4) / 0.5
+        28.0
 
     Source: derived here. For z > 0, $\rho \dot z = w + g u - z \dot\rho \le W + \mu \rho_0 - g_\min \min(u_\max,
         \tan(\pi z / 2))$: not positive once $\tan(\pi z / 2) \ge (W + \mu \rho_0) / g_\min$.
@@ -180,6 +216,12 @@ def necessary_saturation(
         gain_max: Largest size of the input gain, positive.
         funnel: The funnel.
         sigma0: Sliding variable at the start, strictly inside the funnel.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> funnel = qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05)
+        >>> qj.thresholds.necessary_saturation(residual=2.0, gain_max=0.5, funnel=funnel)
+        4.0
 
     Source: derived here. $|\sigma(t)| \ge |\sigma_0| + (W_0 - g_\max u_\max) t$ must stay below $\rho(t)$, which is
         convex. Tangency at t: $(1 + x) e^{-x} = q$ with $x = \mu t$, $q = (|\sigma_0| - \rho_\infty) / \rho_0$, so
@@ -206,6 +248,12 @@ class SufficientPeriod(NamedTuple):
     Attributes:
         period: Sample period [s].
         ratio: Bound $\bar z < 1$ on $|\sigma| / \rho$, at and between samples; $|u| \le \tan(\pi \bar z / 2)$.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> found = qj.thresholds.sufficient_period(0.5, (1.0, 1.0), qj.Funnel(rho0=1.0, mu=1.0, rho_inf=1.0))
+        >>> 0.0 < found.ratio < 1.0
+        True
     """
 
     period: float
@@ -235,6 +283,13 @@ def sufficient_period(
         gain_bounds: Least and largest size of the input gain, positive.
         funnel: The funnel.
         ratio0: Bound on $|\sigma| / \rho$ at the start [-], in [0, 1).
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> funnel = qj.Funnel(rho0=1.0, mu=1.0, rho_inf=1.0)
+        >>> found = qj.thresholds.sufficient_period(0.5, (1.0, 1.0), funnel)
+        >>> 0.0 < found.period < qj.thresholds.critical_period(gain=1.0, residual=0.5, rho=1.0)
+        True
 
     Source: derived here. At a sample let $0 \le z \le \bar z$ (else mirror). Until the next, $-\dot\rho \le r$ and
         $\sigma - \bar z \rho$ grows from $-(\bar z - z) \rho$ at no more than $W + \bar z r - g_\min T(z)$: the first
@@ -271,6 +326,11 @@ def noise_gain(gain: RealScalarLike, residual: RealScalarLike, rho: RealScalarLi
 
     Arguments: as `small_signal_gain`; `period` is the sample period [s], positive.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.noise_gain(gain=1.0, residual=0.0, rho=1.0, period=1e-3), 6)
+        0.000786
+
     Source: derived here: $\sigma_{i+1} = (1 - k' \tau) \sigma_i - k' \tau \nu_i$, a first-order autoregression.
     """
     require_positive("period", period)
@@ -288,6 +348,11 @@ def escape_time(gain: RealScalarLike, rho: RealScalarLike, ratio0: RealScalarLik
         rho: Half-width of the funnel, positive.
         ratio0: $\sigma / \rho$ at the start [-], strictly between -1 and 1.
 
+    Examples:
+        >>> from qsmc_jax import thresholds
+        >>> round(thresholds.escape_time(gain=1.0, rho=1.0, ratio0=0.5), 3)
+        0.221
+
     Source: derived here: $\dot\sigma = g \tan\theta$ with $\theta = \pi \sigma / (2 \rho)$ gives
         $\sin\theta(t) = \sin\theta(0) e^{k t}$.
     """
@@ -304,66 +369,6 @@ def _linearised_loop(
     k = small_signal_gain(gain, residual, rho)
     c = np.asarray(SlidingSurface(c).c)
     return k, np.concatenate([[1.0], c[::-1]]) / k ** np.arange(len(c) + 1.0)
-
-
-def _is_stable(a: Float[np.ndarray, " n"]) -> bool:
-    """Whether the ideal loop is."""
-    return bool(is_hurwitz(a[::-1]))
-
-
-def _loop_parts(a: Float[np.ndarray, " n"]) -> tuple[Polynomial, Polynomial]:
-    r"""$\mathrm{Re} L$ and $-\omega \mathrm{Im} L$ at $s = j \omega$, polynomials in $y = 1 / \omega^2$."""
-    signed = a * (-1.0) ** (np.arange(1, len(a) + 1) // 2)
-    return Polynomial([0.0, *signed[1::2]]), Polynomial(signed[0::2])
-
-
-def _positive_roots(polynomial: Polynomial) -> list[float]:
-    """The positive roots at which the sign changes: one between turning points, which come from the derivative."""
-    coefficients = polynomial.trim().coef
-    if len(coefficients) == 1:
-        return []
-    powers = 1.0 / np.arange(len(coefficients) - 1, 0, -1)
-    bound = 2.0 * float(np.max(np.abs(coefficients[:-1] / coefficients[-1]) ** powers))  # Fujiwara's
-    knots = [0.0, *_positive_roots(polynomial.trim().deriv()), bound]
-    cells = [(low, high) for low, high in it.pairwise(knots) if (polynomial(low) < 0) != (polynomial(high) < 0)]
-    return [float(optimize.brentq(polynomial, *cell, xtol=_TINY, maxiter=2000)) for cell in cells]
-
-
-def _sampled_loop(a: Float[np.ndarray, " n"]) -> list[Polynomial]:
-    r"""The coefficients, lowest first, of the sampled loop's polynomial in s; each a polynomial in the period."""
-    order = len(a)
-    table = np.zeros((order + 1, order + 1))
-    table[order, 0] = 1.0
-    for m in range(1, order + 1):
-        for j, value in enumerate(_held_integrators(m).coef):
-            table[order - m + j, j] += a[m - 1] * value / 2.0**j
-    return [Polynomial(row) for row in table]
-
-
-def _held_integrators(m: int) -> Polynomial:
-    r"""$(1 - v)^m B_m(z) / m!$ with $z = (1 + v) / (1 - v)$ and the Eulerian polynomial $B_m$."""
-    row = [1]
-    for i in range(2, m + 1):
-        row = [(j + 1) * right + (i - j) * left for j, (left, right) in enumerate(it.pairwise([0, *row, 0]))]
-    plus, minus = Polynomial([1.0, 1.0]), Polynomial([1.0, -1.0])
-    terms = (number * plus**j * minus ** (m - j) for j, number in enumerate(row))
-    return sum(terms, start=Polynomial([0.0])) / math.factorial(m)
-
-
-def _hurwitz_matrix(coefficients: list[Polynomial]) -> list[list[Polynomial]]:
-    """Hurwitz's matrix of size n - 1 for a polynomial of degree n, lowest coefficient first."""
-    n = len(coefficients) - 1
-    padded = [Polynomial([0.0])] * n + coefficients + [Polynomial([0.0])] * n
-    return [[padded[n + n - 2 * j + i - 1] for j in range(n - 1)] for i in range(n - 1)]
-
-
-def _determinant(rows: list[list[Polynomial]]) -> Polynomial:
-    """The determinant of a small matrix of polynomials, by its first row."""
-    total = Polynomial([1.0 if not rows else 0.0])
-    for j, entry in enumerate(rows[0] if rows else []):
-        if np.any(entry.coef):
-            total += (-1.0) ** j * entry * _determinant([row[:j] + row[j + 1 :] for row in rows[1:]])
-    return total
 
 
 def _invariant_periods(

@@ -14,7 +14,16 @@ from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 
 
 class AbstractActuator(AbstractModule):
-    """A linear lag between command and input, with unit gain at rest. It is at rest, with input 0, at time 0."""
+    """A linear lag between command and input, with unit gain at rest. It is at rest, with input 0, at time 0.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> actuator = qj.actuators.FirstOrderLag(time_constant=0.0)
+        >>> isinstance(actuator, qj.actuators.AbstractActuator)
+        True
+        >>> [float(u) for u in actuator.move(actuator.rest(), command=2.0, dt=0.1)]
+        [2.0]
+    """
 
     @abc.abstractmethod
     def rest(self) -> Scalars:
@@ -22,7 +31,13 @@ class AbstractActuator(AbstractModule):
 
     @abc.abstractmethod
     def move(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Scalars:
-        """Its state a time `dt` [s] later, under a constant command."""
+        """Its state a time `dt` [s] later, under a constant command.
+
+        Args:
+            state: What `rest` or an earlier `move` gave.
+            command: The command that is held.
+            dt: Time [s] that passes, not negative.
+        """
 
     @abc.abstractmethod
     def is_valid(self) -> BoolScalarLike:
@@ -34,6 +49,14 @@ class FirstOrderLag(AbstractActuator):
 
     Attributes:
         time_constant: $T_a$ [s], not negative; 0 for none.
+
+    Examples:
+        After one time constant it is 1 - 1/e of the way:
+
+        >>> import qsmc_jax as qj
+        >>> lag = qj.actuators.FirstOrderLag(time_constant=0.1)
+        >>> [round(float(u), 3) for u in lag.move(lag.rest(), command=1.0, dt=0.1)]
+        [0.632]
     """
 
     time_constant: Float[Array, ""] = float_field()
@@ -59,6 +82,14 @@ class SecondOrderLag(AbstractActuator):
     Attributes:
         frequency: Natural frequency $\omega$ [rad/s], positive.
         damping: Damping ratio $\zeta$ [-], positive; below 1 it overshoots.
+
+    Examples:
+        Critically damped, it is 1 - 2/e of the way after a time of 1 / frequency:
+
+        >>> import qsmc_jax as qj
+        >>> lag = qj.actuators.SecondOrderLag(frequency=10.0)
+        >>> round(float(lag.move(lag.rest(), command=1.0, dt=0.1)[0]), 3)
+        0.264
     """
 
     frequency: Float[Array, ""] = float_field()

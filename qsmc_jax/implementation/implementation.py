@@ -33,6 +33,17 @@ class Jitter(AbstractModule):
     Attributes:
         fraction: Largest delay of a sample, as a fraction of the period [-], in [0, 1).
         seed: The realisation, a number in [0, 1).
+
+    Examples:
+        Samples that come up to a fifth of the period late:
+
+        >>> import jax
+        >>> import qsmc_jax as qj
+        >>> jitter = qj.Jitter(fraction=0.2)
+        >>> with jax.enable_x64(True):
+        ...     late = [float(jitter(k)) for k in range(4)]
+        >>> 0.0 <= min(late) and max(late) < 0.2
+        True
     """
 
     fraction: Float[Array, ""] = float_field()
@@ -59,6 +70,12 @@ class GainFault(AbstractModule):
         start: When it begins [s].
         end: When it ends [s].
         factor: The factor [-]: -1 for a loss of sign, 0 for a loss of the input.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> fault = qj.GainFault(start=2.0, end=3.0)
+        >>> [float(fault(t)) for t in (1.0, 2.0, 3.0)]
+        [1.0, -1.0, 1.0]
     """
 
     start: Float[Array, ""] = float_field()
@@ -117,6 +134,12 @@ class Implementation(AbstractModule):
 
     Raises:
         ValueError: A number is out of range, or a part is of the wrong kind.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> plan = qj.Implementation(sample_period=0.25, saturation=2.0, rate_limit=4.0)
+        >>> float(plan.instant(3)), float(plan.limited(5.0, last=0.0)), float(plan.limited(5.0, last=1.5))
+        (0.75, 1.0, 2.0)
     """
 
     sample_period: Float[Array, ""] = float_field()
@@ -171,12 +194,22 @@ class Implementation(AbstractModule):
         return math.floor(flight / float(self.sample_period) + late) + 1
 
     def instant(self, k: RealScalarLike) -> RealScalarLike:
-        """The time [s] of sample k = 0, 1, ..."""
+        """The time [s] of sample k = 0, 1, ...
+
+        Args:
+            k: Number of the sample.
+        """
         late = 0.0 if self.jitter is None else self.jitter(k)
         return (k + late) * self.sample_period
 
     def measured(self, x: Scalars, t: RealScalarLike, k: RealScalarLike) -> Scalars:
-        """What is read of the state `x` in sample `k` at time `t`: with noise, then rounded."""
+        """What is read of the state `x` in sample `k` at time `t`: with noise, then rounded.
+
+        Args:
+            x: State, n scalars.
+            t: Time of the sample [s].
+            k: Number of the sample.
+        """
         if self.noise is not None:
             x = tuple(xi + noise for xi, noise in zip(x, self.noise(t, k), strict=True))
         if self.measurement_resolution is not None:
@@ -184,7 +217,12 @@ class Implementation(AbstractModule):
         return x
 
     def limited(self, command: RealScalarLike, last: RealScalarLike) -> RealScalarLike:
-        """The command that is sent, given what the law wants and what was sent last."""
+        """The command that is sent, given what the law wants and what was sent last.
+
+        Args:
+            command: What the law wants.
+            last: What was sent in the sample before; 0 before the first.
+        """
         if self.input_resolution is not None:
             command = _rounded(command, self.input_resolution)
         if self.saturation is not None:
@@ -202,7 +240,11 @@ class Implementation(AbstractModule):
         return jnp.concatenate([jnp.zeros((0,)), *parts])
 
     def is_valid(self, horizon: RealScalarLike) -> BoolScalarLike:
-        """Whether every number is in range, and no delay longer than the horizon: as checked, for traced ones."""
+        """Whether every number is in range, and no delay longer than the horizon: as checked, for traced ones.
+
+        Args:
+            horizon: The horizon [s].
+        """
         claims = [getattr(self, name) > 0.0 for name in _POSITIVE if getattr(self, name) is not None]
         claims += [jnp.all(getattr(self, name) >= 0.0) for name in _NOT_NEGATIVE if getattr(self, name) is not None]
         claims += [getattr(self, name) <= horizon for name in _DELAYS if getattr(self, name) is not None]
@@ -210,7 +252,12 @@ class Implementation(AbstractModule):
         return ft.reduce(jnp.logical_and, claims)
 
     def check(self, order: int, horizon: RealScalarLike) -> None:
-        """Raises `ValueError` unless it fits a plant of the given order and a horizon [s]; traced numbers pass."""
+        """Raises `ValueError` unless it fits a plant of the given order and a horizon [s]; traced numbers pass.
+
+        Args:
+            order: Order n of the plant.
+            horizon: The horizon [s].
+        """
         counts = {
             "measurement_resolution": None
             if self.measurement_resolution is None
@@ -243,7 +290,26 @@ _KINDS = {
 
 
 def random_jitter(draw: Draw, name: str, fraction: RealScalarLike) -> Jitter:
-    """Jitter of up to the given fraction of the period; the realisation is drawn as `<name>.seed`."""
+    """Jitter of up to the given fraction of the period; the realisation is drawn as `<name>.seed`.
+
+    Args:
+        draw: The scenario's source of named numbers.
+        name: Prefix of the name `.seed`.
+        fraction: Largest delay of a sample, as a fraction of the period [-], in [0, 1).
+
+    Returns:
+        A `Jitter`.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     plan = qj.Implementation(sample_period=2e-3, jitter=qj.random_jitter(draw, "jitter", 0.1))
+        ...     loop = dataclasses.replace(qj.paper.example1(), implementation=plan)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=20.0)
+        >>> [spec.name for spec in qj.Study(scenario, bandwidth=0.1).specs]
+        ['jitter.seed']
+    """
     return Jitter(fraction, draw.uniform(f"{name}.seed", 0.0, 1.0))
 
 

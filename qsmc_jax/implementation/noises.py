@@ -18,7 +18,14 @@ from qsmc_jax.model.disturbances.disturbance import require_disturbances
 
 
 class AbstractNoise(AbstractModule):
-    """Noise on the measured states, fixed for a run: a run can be solved again, noise and all."""
+    """Noise on the measured states, fixed for a run: a run can be solved again, noise and all.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> noise = qj.noises.Uniform([0.5, 0.0])
+        >>> isinstance(noise, qj.noises.AbstractNoise), noise.bounds().tolist()
+        (True, [0.5, 0.0])
+    """
 
     @abc.abstractmethod
     def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
@@ -39,6 +46,11 @@ class White(AbstractNoise):
     Attributes:
         std: Standard deviation for each state, not negative.
         seed: The realisation, a number in [0, 1).
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.noises.White(std=[0.01, 0.0]).bounds().tolist()
+        [inf, 0.0]
     """
 
     std: Float[Array, " n"] = float_field()
@@ -63,6 +75,17 @@ class Uniform(AbstractNoise):
     Attributes:
         amplitude: Largest absolute noise on each state, not negative.
         seed: The realisation, a number in [0, 1).
+
+    Examples:
+        A noise is computed in 64 bits, as every solve sees to by itself:
+
+        >>> import jax
+        >>> import qsmc_jax as qj
+        >>> noise = qj.noises.Uniform(amplitude=[0.5, 0.0])
+        >>> with jax.enable_x64(True):
+        ...     first, second = (float(value) for value in noise(t=0.0, k=0))
+        >>> abs(first) <= 0.5, abs(second)
+        (True, 0.0)
     """
 
     amplitude: Float[Array, " n"] = float_field()
@@ -86,6 +109,12 @@ class Signals(AbstractNoise):
 
     Attributes:
         signals: One signal a state; any disturbance will do. `Zero()` for a state that is read exactly.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> noise = qj.noises.Signals((qj.disturbances.Sine(0.5, 50.0), qj.disturbances.Zero()))
+        >>> noise.bounds().tolist(), [float(value) for value in noise(t=0.0, k=0)]
+        ([0.5, 0.0], [0.0, 0.0])
     """
 
     signals: tuple[AbstractDisturbance, ...] = eqx.field(converter=tuple)
@@ -104,12 +133,50 @@ class Signals(AbstractNoise):
 
 
 def white(draw: Draw, name: str, std: Sequence[Any] | np.ndarray | Array) -> White:
-    """White Gaussian noise of the given standard deviations; the realisation is drawn as `<name>.seed`."""
+    """White Gaussian noise of the given standard deviations; the realisation is drawn as `<name>.seed`.
+
+    Args:
+        draw: The scenario's source of named numbers.
+        name: Prefix of the name `.seed`.
+        std: Standard deviation for each state, not negative.
+
+    Returns:
+        A `White`.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     plan = qj.Implementation(sample_period=2e-3, noise=qj.noises.white(draw, "noise", [1e-3, 1e-2]))
+        ...     loop = dataclasses.replace(qj.paper.example1(), implementation=plan)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=20.0)
+        >>> [spec.name for spec in qj.Study(scenario, bandwidth=0.1).specs]
+        ['noise.seed']
+    """
     return White(as_float64(std), draw.uniform(f"{name}.seed", 0.0, 1.0))
 
 
 def uniform(draw: Draw, name: str, amplitude: Sequence[Any] | np.ndarray | Array) -> Uniform:
-    """White noise of the given amplitudes; the realisation is drawn as `<name>.seed`."""
+    """White noise of the given amplitudes; the realisation is drawn as `<name>.seed`.
+
+    Args:
+        draw: The scenario's source of named numbers.
+        name: Prefix of the name `.seed`.
+        amplitude: Largest absolute noise on each state, not negative.
+
+    Returns:
+        A `Uniform`.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     plan = qj.Implementation(sample_period=2e-3, noise=qj.noises.uniform(draw, "noise", [1e-3, 1e-2]))
+        ...     loop = dataclasses.replace(qj.paper.example1(), implementation=plan)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=20.0)
+        >>> [spec.name for spec in qj.Study(scenario, bandwidth=0.1).specs]
+        ['noise.seed']
+    """
     return Uniform(as_float64(amplitude), draw.uniform(f"{name}.seed", 0.0, 1.0))
 
 
@@ -128,6 +195,19 @@ def coloured(
         amplitude: Largest absolute noise on each state, not negative.
         terms: Number of sines a state, at least 1.
         frequencies: Lowest and highest angular frequency [rad/s], log-uniform between.
+
+    Returns:
+        `Signals` whose bounds are the given amplitudes.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     plan = qj.Implementation(sample_period=2e-3, noise=qj.noises.coloured(draw, "noise", [0.5, 0.25]))
+        ...     loop = dataclasses.replace(qj.paper.example1(), implementation=plan)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=20.0)
+        >>> qj.Study(scenario, bandwidth=0.1).nominal.loop.implementation.noise.bounds().round(6).tolist()
+        [0.5, 0.25]
     """
     sizes = as_float64(amplitude)
     require_nonnegative("amplitude", sizes)

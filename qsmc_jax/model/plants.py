@@ -18,6 +18,19 @@ class AbstractPlant(AbstractModule):
     Subclass it with a class attribute `order` (n >= 1) and the two methods; write them with `jax.numpy`. The controller
     never sees them: it knows the sign of g only.
 
+    Examples:
+        A motor with friction, as you may write it:
+
+        >>> import qsmc_jax as qj
+        >>> class Motor(qj.AbstractPlant):
+        ...     order = 2
+        ...     def drift(self, t, x):
+        ...         return -x[1]
+        ...     def gain(self, t, x):
+        ...         return 4.0
+        >>> Motor().drift(0.0, (0.5, 3.0))
+        -3.0
+
     Source: paper, eq. (1); the paper has f(x) and g(x), time is added for drifting parameters.
     """
 
@@ -61,6 +74,12 @@ class InvertedPendulum(AbstractPlant):
         friction: Friction coefficient k [kg/s], not negative.
         gravity: Acceleration due to gravity G [m/s^2].
 
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> pendulum = qj.plants.InvertedPendulum(mass=0.5, length=2.0)
+        >>> float(pendulum.gain(0.0, (0.0, 0.0))), float(pendulum.drift(0.0, (0.0, 0.0)))
+        (0.5, 0.0)
+
     Source: paper, Example 1.
     """
 
@@ -89,6 +108,12 @@ class FourthOrderExample(AbstractPlant):
     Attributes:
         drift_scale: Factor on the drift f [-]; 1 in the paper.
         gain_scale: Factor on the gain g [-], positive; 1 in the paper.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> plant = qj.plants.FourthOrderExample(gain_scale=0.5)
+        >>> plant.order, float(plant.gain(0.0, (0.0, 0.0, 0.0, 0.0)))
+        (4, 1.0)
 
     Source: paper, eq. (13), Example 2. The factors are ours: they let a study disperse the plant.
     """

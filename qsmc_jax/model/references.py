@@ -18,6 +18,16 @@ from qsmc_jax.model.smooth import require_smooth, time_derivatives
 class AbstractReference(AbstractModule):
     r"""A reference $x_{des}(t)$ that the output should follow, with as many derivatives as the plant has states.
 
+    Examples:
+        A steady turn, as you may write it:
+
+        >>> import qsmc_jax as qj
+        >>> class Turn(qj.AbstractReference):
+        ...     def derivatives(self, t, order):
+        ...         return (2.0 * t, 2.0, *(0.0,) * order)[: order + 1]
+        >>> Turn()(3.0), Turn().derivatives(3.0, 2)
+        (6.0, (6.0, 2.0, 0.0))
+
     Source: paper, below eq. (1), where $x_{des}$ is smooth; its bounds matter to the proof, not here.
     """
 
@@ -43,6 +53,11 @@ class Constant(AbstractReference):
 
     Attributes:
         value: The constant v, in units of the output.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> [float(value) for value in qj.references.Constant(0.5).derivatives(10.0, 2)]
+        [0.5, 0.0, 0.0]
     """
 
     value: Float[Array, ""] = float_field()
@@ -65,6 +80,12 @@ class SumOfSines(AbstractReference):
         frequencies: Angular frequencies $\omega_j$ [rad/s].
         phases: Phases $\varphi_j$ [rad]; None means zero.
         offset: The mean v, in units of the output.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> reference = qj.references.SumOfSines(amplitudes=[1.0], frequencies=[2.0], offset=3.0)
+        >>> [float(value) for value in reference.derivatives(0.0, order=1)]
+        [3.0, 2.0]
 
     Source: paper, Example 1 is `SumOfSines([1.0], [1.0])`, Example 2 is
         `SumOfSines([1.0, 1.0], [1.0, 0.5], [0.0, pi / 2])`.
@@ -114,8 +135,16 @@ class Smooth(AbstractReference):
             closes over a traced number, or isn't finite with a finite derivative at t = 0.
 
     Examples:
-        >>> reference = Smooth(lambda t: jnp.tanh(t) * jnp.sin(2.0 * t))
-        >>> reference = Smooth(eqx.Partial(lambda width, t: jnp.exp(-((t - 5.0) / width) ** 2), np.asarray(1.5)))
+        >>> import equinox as eqx
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> reference = qj.references.Smooth(lambda t: t**3)
+        >>> [float(value) for value in reference.derivatives(1.0, 3)]
+        [1.0, 3.0, 6.0, 6.0]
+        >>> bump = eqx.Partial(lambda width, t: jnp.exp(-((t / width) ** 2)), np.asarray(1.5))
+        >>> float(qj.references.Smooth(bump)(0.0))
+        1.0
     """
 
     fn: Callable[..., Any]

@@ -66,6 +66,12 @@ class Figures(AbstractModule):
         largest_disturbance: Largest |d| met at the end of a step.
         steps: Steps taken, kept or not.
         sampled: What is known of a loop with an implementation besides; None for the ideal loop.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> figures = qj.simulate(qj.paper.example1(), [0.9, 0.9], t1=2.0, bandwidth=0.1).figures
+        >>> round(float(figures.peak_ratio), 3), round(float(figures.columns()["rms_error"]), 3)
+        (0.632, 0.46)
     """
 
     verdict: Int[Array, ""]

@@ -9,6 +9,11 @@ class Verdict(enum.IntEnum):
     HELD and VIOLATED are findings. UNDECIDED means that the solve could not tell: it widens the interval both ways and
     is never dropped. INADMISSIBLE means that a premise (a start inside the funnel, C2, a Hurwitz surface) does not hold
     in that run.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.Verdict(1).name, int(qj.Verdict.UNDECIDED)
+        ('VIOLATED', 2)
     """
 
     HELD = 0
@@ -18,7 +23,14 @@ class Verdict(enum.IntEnum):
 
 
 class Outcome(enum.IntEnum):
-    """How the solve of one run ended; `advice` says what to do about it."""
+    """How the solve of one run ended; `advice` says what to do about it.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> outcome = qj.Outcome(0)
+        >>> outcome.name, outcome.advice
+        ('COMPLETED', 'Solved to the end of the horizon.')
+    """
 
     COMPLETED = 0
     LEFT_FUNNEL = 1

@@ -49,6 +49,12 @@ class SolverSettings(AbstractModule):
 
     Raises:
         ValueError: A tolerance is not positive, rtol is not below 1, or a name is unknown.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> settings = qj.SolverSettings(rtol=1e-4)
+        >>> float(settings.atol), settings.method, settings.replace(method="rodas5p").method
+        (1e-06, 'auto', 'rodas5p')
     """
 
     rtol: Float[Array, ""] = float_field()
@@ -90,7 +96,11 @@ class SolverSettings(AbstractModule):
             require(value in known, f"Argument `{name}` must be one of {list(known)}, but is {value!r}.")
 
     def replace(self, **changes: Any) -> "SolverSettings":
-        """The same settings but for the given ones."""
+        """The same settings but for the given ones.
+
+        Args:
+            **changes: Arguments of the constructor, by name.
+        """
         return dataclasses.replace(self, **changes)
 
     @property
@@ -109,5 +119,11 @@ class SolverSettings(AbstractModule):
 
 
 def tight() -> SolverSettings:
-    """The preset for reference values: rtol 1e-8, some 2.5 times the steps of the default."""
+    """The preset for reference values: rtol 1e-8, some 2.5 times the steps of the default.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> float(qj.tight().rtol)
+        1e-08
+    """
     return SolverSettings(rtol=1e-8, max_steps=1_000_000)

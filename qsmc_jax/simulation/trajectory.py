@@ -42,6 +42,12 @@ class Trajectory(AbstractModule):
         loop: The loop that was solved.
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         error_bounds: What |sigma| < bandwidth implies for each error in the end.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> run = qj.simulate(qj.paper.example1(), [0.9, 0.9], t1=2.0, bandwidth=0.1)
+        >>> run.x.shape, round(run.reaching_time, 3), run.outcome.name
+        ((2001, 2), 1.461, 'COMPLETED')
     """
 
     ts: Float[Array | np.ndarray, " times"]

@@ -52,6 +52,15 @@ def monte_carlo(
 
     Raises:
         ValueError: An argument is out of range.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> runs = qj.monte_carlo(study, runs=64, block=64)
+        >>> len(runs), runs.names, bool((runs["peak_ratio"] < 1.0).all())
+        (64, ('x0[0]', 'x0[1]'), True)
     """
     require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
     blocks = stream(
@@ -92,6 +101,14 @@ def stream(
 
     Yields:
         Tables of up to 16 blocks.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> [table["index"].tolist() for table in qj.stream(study, [17, 3], block=64)]
+        [[17, 3]]
     """
     lanes = Lanes(study, settings or SolverSettings(), block)
     sampling = sampling or Random()

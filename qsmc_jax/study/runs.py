@@ -26,6 +26,18 @@ class Runs:
     Attributes:
         columns: Arrays of one length, by column name.
         names: The columns that hold drawn values.
+
+    Examples:
+        Three runs, one of them violated:
+
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> columns = {"index": np.arange(3), "verdict": np.array([0, 0, 1]), "peak_ratio": np.array([0.4, 0.6, 1.0])}
+        >>> runs = qj.Runs(columns, names=())
+        >>> print(runs)
+        3 runs, 3 columns: 2 HELD, 1 VIOLATED; worst sup |sigma|/rho 1
+        >>> runs.take(runs["verdict"] == qj.Verdict.VIOLATED).row(0)["index"]
+        2
     """
 
     columns: Mapping[str, np.ndarray]
@@ -42,15 +54,27 @@ class Runs:
         return iter(self.columns)
 
     def take(self, rows: Any) -> "Runs":
-        """The rows that a NumPy index selects."""
+        """The rows that a NumPy index selects.
+
+        Args:
+            rows: A slice, a mask, or a list of row numbers.
+        """
         return Runs({name: column[rows] for name, column in self.columns.items()}, self.names)
 
     def row(self, i: int) -> dict[str, Any]:
-        """Row `i` as a dictionary of plain numbers."""
+        """Row `i` as a dictionary of plain numbers.
+
+        Args:
+            i: Number of the row in this table.
+        """
         return {name: column[i].item() for name, column in self.columns.items()}
 
     def counts(self, claim: str = "verdict") -> dict[Verdict, int]:
-        """How many runs have each verdict on a claim: `"verdict"`, `"verdict_reaching"` or `"verdict_tracking"`."""
+        """How many runs have each verdict on a claim.
+
+        Args:
+            claim: `"verdict"` (the funnel), `"verdict_reaching"` or `"verdict_tracking"`.
+        """
         return {verdict: int(np.sum(self[claim] == verdict)) for verdict in Verdict}
 
     def to_pandas(self) -> Any:

@@ -52,6 +52,14 @@ class Random(AbstractSampling):
 
     The generator is Threefry-2x32 whatever JAX's default is. An index of 2**32 or more is folded in as two words, the
     low one first.
+
+    Examples:
+        A run has the same point whatever other runs there are:
+
+        >>> import qsmc_jax as qj
+        >>> points = qj.Random().points(seed=0, indices=range(8), dim=2)
+        >>> points.shape, bool((points[7] == qj.Random().points(0, [7], 2)[0]).all())
+        ((8, 2), True)
     """
 
     is_independent: ClassVar[bool] = True
@@ -70,6 +78,14 @@ class Sobol(AbstractSampling):
     """Scrambled Sobol points: far more even than random ones, which sharpens means and plots.
 
     2**32 points at most. Best with a power of two of runs, from index 0 on.
+
+    Examples:
+        Four points lie in the four quarters:
+
+        >>> import qsmc_jax as qj
+        >>> points = qj.Sobol().points(seed=0, indices=range(4), dim=1)
+        >>> sorted(int(4 * x) for x in points[:, 0])
+        [0, 1, 2, 3]
 
     Source: Owen's scrambling by linear matrix and digital shift, as in `scipy.stats.qmc.Sobol`.
     """
@@ -103,6 +119,14 @@ class LatinHypercube(AbstractSampling):
 
     Attributes:
         runs: Size of the design.
+
+    Examples:
+        Five points lie in the five fifths, in each coordinate:
+
+        >>> import qsmc_jax as qj
+        >>> points = qj.LatinHypercube(runs=5).points(seed=0, indices=range(5), dim=2)
+        >>> [sorted(int(5 * x) for x in column) for column in points.T]
+        [[0, 1, 2, 3, 4], [0, 1, 2, 3, 4]]
 
     Source: `scipy.stats.qmc.LatinHypercube`.
     """

@@ -30,6 +30,12 @@ class Scenario(AbstractModule):
 
     Raises:
         ValueError: `x0` does not fit the plant, or a number is not finite, or `t1` is not positive.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> scenario = qj.Scenario(qj.paper.example1(), x0=[0.9, 0.9], t1=20.0)
+        >>> scenario.loop.order, scenario.x0.tolist()
+        (2, [0.9, 0.9])
     """
 
     loop: ClosedLoop
@@ -100,6 +106,9 @@ class Study:
 
         Another value of the same names does not recompile.
 
+        Args:
+            **values: A number for each name to be fixed, or an array of the name's shape.
+
         Raises:
             ValueError: A name does not exist (the nearest is suggested), or a value lies outside its bounds.
         """
@@ -129,7 +138,12 @@ class Study:
     def simulate(
         self, *, ts: Float[np.ndarray, " times"] | None = None, settings: SolverSettings | None = None
     ) -> Trajectory:
-        """Solves the nominal run: parameters as substituted, distributions at their medians."""
+        """Solves the nominal run: parameters as substituted, distributions at their medians.
+
+        Args:
+            ts: Times [s] at which to give the signals; None for 2001 evenly spaced.
+            settings: Method and tolerances; None for the defaults.
+        """
         return self._simulate(self.nominal, ts, settings)
 
     def _simulate(self, scenario: Scenario, ts: Any, settings: SolverSettings | None) -> Trajectory:

@@ -50,6 +50,14 @@ class Certificate:
         guarantees: The funnel claim, and each constraint on single runs.
         objective: The objective over the fresh runs.
         training_objective: The same over the training runs.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> from qsmc_jax.tuning.certificate import Guarantee
+        >>> funnel = Guarantee("in the funnel", failed=0, undecided=0, runs=10_000, low=0.0, high=4e-4)
+        >>> certificate = qj.Certificate({"mu": 2.7}, 1, 10_000, 0.01, 0.95, (funnel,), 50.0, training_objective=49.5)
+        >>> certificate.is_granted, certificate.optimism
+        (True, 0.5)
     """
 
     gains: dict[str, float]

@@ -29,6 +29,19 @@ class Landscape:
         values: Each objective, (objectives, first, second).
         is_feasible: Where every constraint is kept and every run's figures are known, (first, second).
         marked: Each objective at the gains that were marked, by label.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     rho0, mu = draw.parameter("rho0", 4.0, bounds=(3.0, 8.0)), draw.parameter("mu", 3.0, bounds=(2.0, 4.0))
+        ...     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0, mu, rho_inf=0.05))
+        ...     loop = dataclasses.replace(qj.paper.example1(), control=control)
+        ...     return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> found = qj.landscape(study, ["rho0", "mu"], "mean(energy_u)", points=2, runs=2, block=64)
+        >>> found.names, found.is_feasible.tolist()
+        (('rho0', 'mu'), [[True, True], [True, True]])
     """
 
     names: tuple[str, str]
@@ -101,8 +114,24 @@ def landscape(
         threads: Blocks solved at the same time.
         progress: Called as `progress(done, all)` after each cell.
 
+    Returns:
+        The landscape; `plot` it.
+
     Raises:
         ValueError: An argument is out of range.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     rho0, mu = draw.parameter("rho0", 4.0, bounds=(3.0, 8.0)), draw.parameter("mu", 3.0, bounds=(2.0, 4.0))
+        ...     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0, mu, rho_inf=0.05))
+        ...     loop = dataclasses.replace(qj.paper.example1(), control=control)
+        ...     return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> found = qj.landscape(study, ["rho0", "mu"], "mean(energy_u)", points=2, runs=2, block=64)
+        >>> [grid.tolist() for grid in found.grids], found.values.shape
+        ([[3.0, 8.0], [2.0, 4.0]], (1, 2, 2))
     """
     names = tuple(parameters)
     require(len(names) == 2, f"Argument `parameters` must name two parameters, but is {list(names)}.")

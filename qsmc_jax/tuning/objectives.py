@@ -42,6 +42,11 @@ class Term:
         metric: The column.
         weight: What it is multiplied by.
         level: Of "cvar": the part of the runs that is left out, in [0, 1).
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> str(qj.objectives.Term("cvar", "peak_u", weight=2.0, level=0.9))
+        '2 * cvar(peak_u, 0.9)'
     """
 
     statistic: Statistic
@@ -56,7 +61,12 @@ class Term:
         require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
 
     def evaluate(self, values: Float[np.ndarray, " runs"], smoothing: float) -> tuple[float, np.ndarray]:
-        """The weighted statistic of the known values, and its derivative by each."""
+        """The weighted statistic of the known values, and its derivative by each.
+
+        Args:
+            values: The column; entries that are not finite are passed over.
+            smoothing: As for `Objective.evaluate`.
+        """
         weights = np.zeros(len(values))
         known = np.flatnonzero(np.isfinite(values))
         if not len(known):
@@ -76,6 +86,14 @@ class Objective:
 
     Attributes:
         terms: The summands.
+
+    Examples:
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> columns = {"peak_u": np.array([1.0, 2.0, 3.0, 6.0])}
+        >>> objective = qj.objectives.mean("peak_u") + 2.0 * qj.objectives.worst("peak_u")
+        >>> str(objective), objective.evaluate(columns)[0]
+        ('mean(peak_u) + 2 * worst(peak_u)', 15.0)
     """
 
     terms: tuple[Term, ...]
@@ -131,6 +149,14 @@ class Constraint:
         objective: What is bounded.
         bound: The bound.
         side: 1 for an upper bound, -1 for a lower one.
+
+    Examples:
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> columns = {"peak_u": np.array([1.0, 2.0, 3.0, 6.0])}
+        >>> constraint = qj.objectives.worst("peak_u") <= 5.0
+        >>> str(constraint), round(constraint.excess(columns)[0], 3)
+        ('worst(peak_u) <= 5', 0.2)
     """
 
     objective: Objective
@@ -141,7 +167,12 @@ class Constraint:
         require(bool(np.isfinite(self.bound)), f"The bound of a constraint must be finite, but is {self.bound}.")
 
     def excess(self, columns: Mapping[str, np.ndarray], smoothing: float = 0.0) -> tuple[float, dict[str, np.ndarray]]:
-        """How far it is passed, in units of the bound (of 1 for a bound of 0), and the derivative; fine if <= 0."""
+        """How far it is passed, in units of the bound (of 1 for a bound of 0), and the derivative; fine if <= 0.
+
+        Args:
+            columns: Columns by name.
+            smoothing: As for `Objective.evaluate`.
+        """
         value, weights = self.objective.evaluate(columns, smoothing)
         scale = self.side / (abs(self.bound) or 1.0)
         return scale * (value - self.bound), {metric: scale * weight for metric, weight in weights.items()}
@@ -159,12 +190,34 @@ class Constraint:
 
 
 def mean(metric: str) -> Objective:
-    """The mean of a column over the runs."""
+    """The mean of a column over the runs.
+
+    Args:
+        metric: The column, one of `METRICS` or `peak_error[i]`.
+
+    Examples:
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> columns = {"peak_u": np.array([1.0, 2.0, 3.0, 6.0])}
+        >>> qj.objectives.mean("peak_u").evaluate(columns)[0]
+        3.0
+    """
     return Objective((Term("mean", metric),))
 
 
 def cvar(metric: str, level: float = 0.9) -> Objective:
     """The mean of the largest 1 - `level` of a column: conditional value at risk.
+
+    Args:
+        metric: The column, one of `METRICS` or `peak_error[i]`.
+        level: Part of the runs that is left out, in [0, 1).
+
+    Examples:
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> columns = {"peak_u": np.array([1.0, 2.0, 3.0, 6.0])}
+        >>> qj.objectives.cvar("peak_u", 0.5).evaluate(columns)[0]
+        4.5
 
     Source: Rockafellar and Uryasev, J. Risk 2 (2000).
     """
@@ -172,12 +225,34 @@ def cvar(metric: str, level: float = 0.9) -> Objective:
 
 
 def worst(metric: str) -> Objective:
-    """The largest of a column."""
+    """The largest of a column.
+
+    Args:
+        metric: The column, one of `METRICS` or `peak_error[i]`.
+
+    Examples:
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> columns = {"peak_u": np.array([1.0, 2.0, 3.0, 6.0])}
+        >>> qj.objectives.worst("peak_u").evaluate(columns)[0]
+        6.0
+    """
     return Objective((Term("worst", metric),))
 
 
 def least(metric: str) -> Objective:
-    """The smallest of a column."""
+    """The smallest of a column.
+
+    Args:
+        metric: The column, one of `METRICS` or `peak_error[i]`.
+
+    Examples:
+        >>> import numpy as np
+        >>> import qsmc_jax as qj
+        >>> columns = {"peak_u": np.array([1.0, 2.0, 3.0, 6.0])}
+        >>> qj.objectives.least("peak_u").evaluate(columns)[0]
+        1.0
+    """
     return Objective((Term("least", metric),))
 
 
@@ -186,6 +261,14 @@ def violation(probability: float | int) -> Constraint:
 
     Over the runs whose figures are known, $\mathrm{CVaR}_{1-p}(\sup|\sigma|/\rho) \le 1$ implies
     $P(\sup|\sigma|/\rho > 1) \le p$, and has a derivative.
+
+    Args:
+        probability: What it may be at most, above 0.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> str(qj.objectives.violation(0.01))
+        'cvar(peak_ratio, 0.99) <= 1'
     """
     return cvar("peak_ratio", 1.0 - probability) <= 1.0
 
@@ -193,8 +276,16 @@ def violation(probability: float | int) -> Constraint:
 def parse_objective(text: "str | Objective") -> Objective:
     """An objective from a text such as `cvar(peak_error[0], 0.9) + 0.01 * mean(energy_u)`.
 
+    Args:
+        text: The text; an objective is given back as it is.
+
     Raises:
         ValueError: The text is not of that form.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> str(qj.objectives.parse_objective("cvar(peak_error[0], 0.9) - 2 * mean(energy_u)"))
+        'cvar(peak_error[0], 0.9) + -2 * mean(energy_u)'
     """
     return _parsed(text, Objective, f"Argument `objective` must be a sum of statistics, but is `{text}`.")
 
@@ -202,8 +293,16 @@ def parse_objective(text: "str | Objective") -> Objective:
 def parse_constraint(text: "str | Constraint") -> Constraint:
     """A constraint from a text such as `worst(peak_u) <= 20` or `violation <= 0.01`.
 
+    Args:
+        text: The text; a constraint is given back as it is.
+
     Raises:
         ValueError: The text is not of that form.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.objectives.parse_constraint("worst(peak_u) <= 20").bound
+        20.0
     """
     return _parsed(text, Constraint, f"Argument `subject_to` must be a comparison with a number, not `{text}`.")
 

@@ -32,6 +32,19 @@ class Tuning:
         certificate: That of the chosen gains; None if none was asked for.
         sensitivity: Derivative of the objective and of each constraint's excess at the chosen gains by each gain,
             in units of what each is there: percent by percent, (1 + constraints, names).
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     rho0, mu = draw.parameter("rho0", 4.0, bounds=(3.0, 8.0)), draw.parameter("mu", 3.0, bounds=(2.0, 4.0))
+        ...     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0, mu, rho_inf=0.05))
+        ...     loop = dataclasses.replace(qj.paper.example1(), control=control)
+        ...     return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> tuned = qj.tune(study, ["mu"], "mean(energy_u)", runs=2, starts=1, steps=3, certificate_runs=0, block=64)
+        >>> tuned.parameters, tuned.is_certified, float(tuned.study.values["mu"]) == tuned.gains["mu"]
+        (('mu',), False, True)
     """
 
     base: Study

@@ -89,6 +89,19 @@ def tune(
     Raises:
         ValueError: An argument is out of range, the gradient can't be trusted, the objective is not known at the
             start, or no point that keeps the constraints was found (the message says which fails, and by how much).
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     rho0, mu = draw.parameter("rho0", 4.0, bounds=(3.0, 8.0)), draw.parameter("mu", 3.0, bounds=(2.0, 4.0))
+        ...     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0, mu, rho_inf=0.05))
+        ...     loop = dataclasses.replace(qj.paper.example1(), control=control)
+        ...     return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> tuned = qj.tune(study, ["mu"], "mean(energy_u)", runs=2, starts=1, steps=3, certificate_runs=0, block=64)
+        >>> tuned.gains, tuned.best.objective < tuned.before.objective
+        ({'mu': 2.0}, True)
     """
     require(runs >= 2, f"Argument `runs` must be at least 2, but is {runs}.")
     search, claim = (

@@ -38,6 +38,11 @@ def confidence_sequence(violated: int, undecided: int, total: int, confidence: f
     Raises:
         ValueError: A count is negative, or there are more than `total`, or the confidence is out of range.
 
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> [round(end, 5) for end in qj.confidence_sequence(violated=0, undecided=0, total=1000, confidence=0.95)]
+        [0.0, 0.00366]
+
     Source: Robbins, Ann. Math. Stat. 41 (1970); Howard, Ramdas, McAuliffe and Sekhon, Ann. Stat. 49 (2021).
     """
     require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")

@@ -97,6 +97,21 @@ class Comparison:
         seed: Their seed.
         confidence: That all intervals hold together.
         intervals: How many there are.
+
+    Examples:
+        >>> import equinox as eqx
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):  # the gain has the wrong sign with probability p
+        ...     p = draw.parameter("p", 0.0, bounds=(0.0, 1.0))
+        ...     sign = jnp.where(draw.uniform("coin", 0.0, 1.0) < p, -1.0, 1.0)
+        ...     loop = eqx.tree_at(lambda loop: loop.control.gain_sign, qj.paper.example1(), sign)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> studies = {"right": study, "wrong": study.substitute(p=1.0)}
+        >>> found = qj.compare(studies, runs=64, metrics=["peak_ratio"], block=64)
+        >>> found["right"].estimate, found["wrong"].estimate, found.intervals
+        (0.0, 1.0, 5)
     """
 
     studies: tuple[Compared, ...]
@@ -193,6 +208,21 @@ def compare(
 
     Raises:
         ValueError: An argument is out of range, the studies draw different names, or a figure does not exist.
+
+    Examples:
+        >>> import equinox as eqx
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):  # the gain has the wrong sign with probability p
+        ...     p = draw.parameter("p", 0.0, bounds=(0.0, 1.0))
+        ...     sign = jnp.where(draw.uniform("coin", 0.0, 1.0) < p, -1.0, 1.0)
+        ...     loop = eqx.tree_at(lambda loop: loop.control.gain_sign, qj.paper.example1(), sign)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> studies = {"right": study, "wrong": study.substitute(p=1.0)}
+        >>> found = qj.compare(studies, runs=64, metrics=["peak_ratio"], block=64)
+        >>> [(each.name, each.violated, round(each.high, 2)) for each in found.studies]
+        [('right', 0, 0.08), ('wrong', 64, 1.0)]
     """
     require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
     require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")

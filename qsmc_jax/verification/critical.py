@@ -92,6 +92,20 @@ def critical_value(
 
     Raises:
         ValueError: An argument is out of range, or the study refuses a value.
+
+    Examples:
+        >>> import equinox as eqx
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):  # the gain has the wrong sign with probability p
+        ...     p = draw.parameter("p", 0.0, bounds=(0.0, 1.0))
+        ...     sign = jnp.where(draw.uniform("coin", 0.0, 1.0) < p, -1.0, 1.0)
+        ...     loop = eqx.tree_at(lambda loop: loop.control.gain_sign, qj.paper.example1(), sign)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> found = qj.critical_value(study, "p", below=0.4, steps=2, block=64)
+        >>> found.side, found.shown, found.not_shown
+        ('largest', 0.25, 0.5)
     """
     require(side is None or side in get_args(Side), f"Argument `side` must be one of {[*get_args(Side)]}.")
     require(steps >= 0, f"Argument `steps` must not be negative, but is {steps}.")

@@ -53,6 +53,20 @@ class CriticalValue:
         confidence_each: Confidence of the interval at each look of each test.
         looks: Numbers of runs at which a test looked.
         tests: Every test made, in order; the two ends first.
+
+    Examples:
+        >>> import equinox as eqx
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):  # the gain has the wrong sign with probability p
+        ...     p = draw.parameter("p", 0.0, bounds=(0.0, 1.0))
+        ...     sign = jnp.where(draw.uniform("coin", 0.0, 1.0) < p, -1.0, 1.0)
+        ...     loop = eqx.tree_at(lambda loop: loop.control.gain_sign, qj.paper.example1(), sign)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> found = qj.critical_value(study, "p", below=0.4, steps=0, block=64)
+        >>> found.is_found, [(test.value, test.finding) for test in found.tests]
+        (True, [(0.0, 'below'), (1.0, 'above')])
     """
 
     study: Study

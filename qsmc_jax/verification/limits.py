@@ -38,6 +38,12 @@ class Threshold:
 
     Raises:
         ValueError: The kind is unknown, or the value is not a number.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> line = qj.Threshold("stable hold", "sample_period", 0.02, kind="local")
+        >>> line.value, line.kind
+        (0.02, 'local')
     """
 
     name: str

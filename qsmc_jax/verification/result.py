@@ -87,6 +87,15 @@ class Verification:
         is_anytime: Whether the intervals hold at all numbers of runs at once, as they must where one looked before
             stopping; else they are exact for this number.
         decision: What the stopping rule said; None without one, or if it said nothing.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> found = qj.verify(study, runs=64, block=64)
+        >>> found.verdict.name, found.claims[0].held, found.plan(1e-3)
+        ('HELD', 64, 3688)
     """
 
     study: Study
@@ -182,7 +191,11 @@ class Verification:
         return plot_verification(self)
 
     def plan(self, probability: float) -> int:
-        """Runs needed, without a violation, to bound the violation probability by `probability` at this confidence."""
+        """Runs needed, without a violation, to bound the violation probability by `probability` at this confidence.
+
+        Args:
+            probability: What is to be shown, strictly between 0 and 1.
+        """
         return runs_needed(probability, self.confidence)
 
     def __str__(self) -> str:

@@ -72,6 +72,20 @@ class RobustnessMap:
         confidence: That all intervals of one claim hold together.
         thresholds: Lines to draw; see `limits`.
         scales: By name, the factor that makes its values dimensionless and the label of the axis then.
+
+    Examples:
+        >>> import equinox as eqx
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):  # the gain has the wrong sign with probability p
+        ...     p = draw.parameter("p", 0.0, bounds=(0.0, 1.0))
+        ...     sign = jnp.where(draw.uniform("coin", 0.0, 1.0) < p, -1.0, 1.0)
+        ...     loop = eqx.tree_at(lambda loop: loop.control.gain_sign, qj.paper.example1(), sign)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> found = qj.robustness_map(study, over={"p": [0.0, 1.0]}, runs=64, block=64)
+        >>> found.funnel.estimate.tolist(), found.table()["p"].tolist()
+        ([0.0, 1.0], [0.0, 1.0])
     """
 
     study: Study
@@ -202,6 +216,20 @@ def robustness_map(
 
     Raises:
         ValueError: An argument is out of range, or the study refuses a value; before anything is solved.
+
+    Examples:
+        >>> import equinox as eqx
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):  # the gain has the wrong sign with probability p
+        ...     p = draw.parameter("p", 0.0, bounds=(0.0, 1.0))
+        ...     sign = jnp.where(draw.uniform("coin", 0.0, 1.0) < p, -1.0, 1.0)
+        ...     loop = eqx.tree_at(lambda loop: loop.control.gain_sign, qj.paper.example1(), sign)
+        ...     return qj.Scenario(loop, x0=[0.9, 0.9], t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> found = qj.robustness_map(study, over={"p": [0.0, 1.0]}, runs=64, block=64)
+        >>> found.funnel.violated.tolist(), found.high.round(2).tolist()
+        ([0, 64], [0.07, 1.0])
     """
     require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
     require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")

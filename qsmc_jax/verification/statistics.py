@@ -65,6 +65,11 @@ def runs_needed(probability: float, confidence: float, violations: Count = 0) ->
 
     Raises:
         ValueError: An argument is out of range, or more than 2**53 runs are needed.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.runs_needed(1e-3, 0.95), qj.runs_needed(1e-3, 0.90)
+        (3688, 2995)
     """
     _require_fraction("probability", probability)
     _require_fraction("confidence", confidence)

@@ -10,7 +10,18 @@ from qsmc_jax.verification.anytime import confidence_sequence, sequential_test
 
 @dataclasses.dataclass(frozen=True)
 class AbstractRule(abc.ABC):
-    """When to stop. Looked at after each block of runs, in the order of the blocks, never within one."""
+    """When to stop. Looked at after each block of runs, in the order of the blocks, never within one.
+
+    Examples:
+        A rule that stops at the first violation, as you may write it:
+
+        >>> import qsmc_jax as qj
+        >>> class FirstViolation(qj.stopping.AbstractRule):
+        ...     def decision(self, violated, undecided, total, confidence):
+        ...         return "a run left the funnel" if violated else None
+        >>> FirstViolation().decision(1, 0, 100, 0.95)
+        'a run left the funnel'
+    """
 
     @abc.abstractmethod
     def decision(self, violated: int, undecided: int, total: int, confidence: float) -> str | None:
@@ -30,6 +41,13 @@ class UntilWidth(AbstractRule):
 
     Attributes:
         width: Difference of its ends, strictly between 0 and 1.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> rule = qj.stopping.UntilWidth(0.01)
+        >>> rule.decision(violated=0, undecided=0, total=100, confidence=0.95)
+        >>> rule.decision(violated=0, undecided=0, total=1000, confidence=0.95)
+        'the interval is no wider than 0.01'
     """
 
     width: float
@@ -48,6 +66,14 @@ class UntilBelow(AbstractRule):
 
     Attributes:
         probability: What is to be shown, strictly between 0 and 1.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> rule = qj.stopping.UntilBelow(0.01)
+        >>> rule.decision(violated=0, undecided=0, total=1000, confidence=0.95)
+        'the violation probability is at most 0.01'
+        >>> rule.decision(violated=50, undecided=0, total=1000, confidence=0.95)
+        'the violation probability is above 0.01'
     """
 
     probability: float
@@ -69,6 +95,12 @@ class SequentialTest(AbstractRule):
     Attributes:
         probability: p0, that is to be refuted, strictly between 0 and 1.
         alternative: p1, strictly between 0 and p0; between the two either answer is right.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> rule = qj.stopping.SequentialTest(probability=0.02, alternative=0.01)
+        >>> rule.decision(violated=0, undecided=0, total=1000, confidence=0.95)
+        'the test accepts that the violation probability is below 0.02'
     """
 
     probability: float
@@ -92,7 +124,19 @@ class SequentialTest(AbstractRule):
 
 
 def decision_of(rule: AbstractRule | None, counts: dict[Verdict, int], confidence: float) -> str | None:
-    """What the rule says of the counts of the funnel claim; None without a rule."""
+    """What the rule says of the counts of the funnel claim; None without a rule.
+
+    Args:
+        rule: The rule, or None.
+        counts: Runs with each verdict.
+        confidence: Confidence of what is said.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> counts = {qj.Verdict.HELD: 1000, qj.Verdict.VIOLATED: 0, qj.Verdict.UNDECIDED: 0}
+        >>> qj.stopping.decision_of(qj.stopping.UntilBelow(0.01), counts, confidence=0.95)
+        'the violation probability is at most 0.01'
+    """
     if rule is None:
         return None
     violated, undecided = counts[Verdict.VIOLATED], counts[Verdict.UNDECIDED]

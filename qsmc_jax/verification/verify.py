@@ -65,6 +65,14 @@ def verify(
 
     Raises:
         ValueError: An argument is out of range, or the sampling admits no exact interval.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> print(qj.verify(study, runs=64, block=64).conclusion())
+        HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
     require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
     require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")

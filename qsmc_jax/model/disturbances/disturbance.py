@@ -19,6 +19,23 @@ class AbstractDisturbance(AbstractModule):
     Randomness sits in the parameters, drawn before the run, never in the call: so a run can be solved again, at any
     tolerance. Disturbances add, and scale by a number: `2.0 * Sine(1.0, 3.0) - 1.0` is one.
 
+    Examples:
+        A ramp that ends at 1 s, as you may write it:
+
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> class Ramp(qj.AbstractDisturbance):
+        ...     def __call__(self, t):
+        ...         return jnp.minimum(t, 1.0)
+        ...     @property
+        ...     def bound(self):
+        ...         return 1.0
+        ...     @property
+        ...     def break_times(self):
+        ...         return jnp.array([1.0])
+        >>> float(Ramp()(0.5)), float((2.0 * Ramp()).bound)
+        (0.5, 2.0)
+
     Source: paper, eq. (1) and Assumption 2, $|d(t)| < \bar d$.
     """
 
@@ -68,7 +85,13 @@ class AbstractDisturbance(AbstractModule):
 
 
 def no_breaks() -> Float[Array, " breaks"]:
-    """The break times of a smooth disturbance: none."""
+    """The break times of a smooth disturbance: none.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.disturbances.no_breaks().shape
+        (0,)
+    """
     return jnp.zeros((0,))
 
 
@@ -77,6 +100,12 @@ class Constant(AbstractDisturbance):
 
     Attributes:
         value: The constant v.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> load = qj.disturbances.Constant(-0.5)
+        >>> float(load(3.0)), float(load.bound)
+        (-0.5, 0.5)
     """
 
     value: Float[Array, ""] = float_field()
@@ -101,6 +130,12 @@ class Sum(AbstractDisturbance):
 
     Attributes:
         terms: The disturbances $d_i$, one or more.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> d = qj.disturbances.Constant(1.0) + qj.disturbances.Sine(0.5, 2.0)
+        >>> type(d).__name__, float(d(0.0)), float(d.bound)
+        ('Sum', 1.0, 1.5)
     """
 
     terms: tuple[AbstractDisturbance, ...] = eqx.field(converter=tuple)
@@ -126,6 +161,12 @@ class Scaled(AbstractDisturbance):
     Attributes:
         scale: The factor s [-].
         disturbance: The disturbance $d_1$.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> d = -3.0 * qj.disturbances.Constant(2.0)
+        >>> type(d).__name__, float(d(0.0)), float(d.bound)
+        ('Scaled', -6.0, 6.0)
     """
 
     scale: Float[Array, ""] = float_field()

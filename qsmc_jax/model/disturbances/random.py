@@ -33,6 +33,15 @@ def random_sine(draw: Draw, name: str, bound: RealScalarLike, frequencies: tuple
 
     Raises:
         ValueError: If the bound is not positive, or the frequencies are not positive and increasing.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     gust = qj.disturbances.random_sine(draw, "gust", bound=0.5)
+        ...     return qj.Scenario(dataclasses.replace(qj.paper.example1(), disturbance=gust), x0=[0.9, 0.9], t1=20.0)
+        >>> [spec.name for spec in qj.Study(scenario, bandwidth=0.1).specs]
+        ['gust.amplitude', 'gust.frequency', 'gust.phase']
     """
     require_positive("bound", bound)
     low, high = _checked_range(frequencies)
@@ -63,6 +72,15 @@ def random_sines(
     Raises:
         ValueError: If the bound is not positive, there are no terms, or the frequencies are not positive and
             increasing.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     gust = qj.disturbances.random_sines(draw, "gust", bound=0.5, terms=4)
+        ...     return qj.Scenario(dataclasses.replace(qj.paper.example1(), disturbance=gust), x0=[0.9, 0.9], t1=20.0)
+        >>> round(float(qj.Study(scenario, bandwidth=0.1).nominal.loop.disturbance.bound), 6)
+        0.5
 
     Source: normalised exponentials are Dirichlet(1, ..., 1); Devroye, Non-Uniform Random Variate Generation, XI.4.
     """
@@ -97,6 +115,15 @@ def random_telegraph(
 
     Raises:
         ValueError: If the bound, the rate or the horizon is not positive, or rate or horizon is traced.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     gust = qj.disturbances.random_telegraph(draw, "gust", bound=0.5, rate=0.2, horizon=20.0)
+        ...     return qj.Scenario(dataclasses.replace(qj.paper.example1(), disturbance=gust), x0=[0.9, 0.9], t1=20.0)
+        >>> [spec.name for spec in qj.Study(scenario, bandwidth=0.1).specs]
+        ['gust.holding_time', 'gust.level']
     """
     require_positive("bound", bound)
     for argument, value in (("rate", rate), ("horizon", horizon)):
@@ -131,6 +158,15 @@ def random_steps(
 
     Raises:
         ValueError: If the bound, the horizon or the rise time is not positive, or there are no steps.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     gust = qj.disturbances.random_steps(draw, "gust", 0.5, steps=2, horizon=20.0, rise_time=0.1)
+        ...     return qj.Scenario(dataclasses.replace(qj.paper.example1(), disturbance=gust), x0=[0.9, 0.9], t1=20.0)
+        >>> [spec.columns for spec in qj.Study(scenario, bandwidth=0.1).specs]
+        [('gust.time[0]', 'gust.time[1]'), ('gust.level[0]', 'gust.level[1]', 'gust.level[2]')]
     """
     require_positive("bound", bound)
     _require_count("steps", steps)
@@ -170,6 +206,15 @@ def random_noise(
 
     Raises:
         ValueError: If the bound, the cutoff or the rms is not positive, or there are no terms.
+
+    Examples:
+        >>> import dataclasses
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     gust = qj.disturbances.random_noise(draw, "gust", bound=0.5, cutoff=20.0)
+        ...     return qj.Scenario(dataclasses.replace(qj.paper.example1(), disturbance=gust), x0=[0.9, 0.9], t1=20.0)
+        >>> float(qj.Study(scenario, bandwidth=0.1).nominal.loop.disturbance.bound)
+        0.5
 
     Source: see `BandLimitedNoise`.
     """

@@ -26,7 +26,10 @@ class Piecewise(AbstractDisturbance):
         The disturbance of Example 2 of the paper:
 
         >>> from math import pi
+        >>> from qsmc_jax.model.disturbances import Piecewise, Sine
         >>> d = Piecewise([6.0, 9.0], (Sine(0.5, pi / 2), Sine(1.0, pi), Sine(1.0, pi, pi / 2) - 1.0))
+        >>> [round(float(d(t)), 3) for t in (1.0, 6.5, 9.0)], float(d.bound)
+        ([0.5, 1.0, -2.0], 2.0)
     """
 
     times: Float[Array, " switches"] = float_field()
@@ -58,6 +61,12 @@ class Telegraph(AbstractDisturbance):
     Attributes:
         switch_times: Switching times $t_1 \le t_2 \le \dots$ [s]; unused ones at the end hold `inf`.
         levels: Levels $v_0, v_1, \dots$, one more than there are switching times.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> d = qj.disturbances.Telegraph(switch_times=[1.0, 2.0], levels=[0.5, -0.5, 0.0])
+        >>> [float(d(t)) for t in (0.0, 1.0, 2.5)]
+        [0.5, -0.5, 0.0]
     """
 
     switch_times: Float[Array, " switches"] = float_field()
@@ -93,6 +102,12 @@ class SmoothSteps(AbstractDisturbance):
         times: Starts of the ramps $t_1 \le t_2 \le \dots$ [s], finite.
         levels: Levels $v_0, v_1, \dots$, one more than there are times.
         rise_time: Duration of a ramp $\tau$ [s], positive.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> d = qj.disturbances.SmoothSteps(times=[1.0], levels=[0.0, 2.0], rise_time=1.0)
+        >>> [float(d(t)) for t in (1.0, 1.5, 2.0)]
+        [0.0, 1.0, 2.0]
     """
 
     times: Float[Array, " switches"] = float_field()

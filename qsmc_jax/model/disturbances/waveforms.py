@@ -13,7 +13,13 @@ from qsmc_jax.model.disturbances.disturbance import AbstractDisturbance, no_brea
 
 
 class Zero(AbstractDisturbance):
-    r"""No disturbance, $d(t) = 0$."""
+    r"""No disturbance, $d(t) = 0$.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> float(qj.disturbances.Zero()(1.0))
+        0.0
+    """
 
     def __call__(self, t: RealScalarLike) -> RealScalarLike:
         return jnp.zeros(())
@@ -34,6 +40,13 @@ class Sine(AbstractDisturbance):
         amplitude: Amplitude a.
         frequency: Angular frequency $\omega$ [rad/s].
         phase: Phase $\varphi$ [rad]; $\pi/2$ makes it a cosine.
+
+    Examples:
+        >>> from math import pi
+        >>> import qsmc_jax as qj
+        >>> d = qj.disturbances.Sine(amplitude=0.5, frequency=pi, phase=pi / 2)
+        >>> round(float(d(0.0)), 3), round(float(d(1.0)), 3), float(d.bound)
+        (0.5, -0.5, 0.5)
     """
 
     amplitude: Float[Array, ""] = float_field()
@@ -66,6 +79,12 @@ class SumOfSines(AbstractDisturbance):
         amplitudes: Amplitudes $a_j$.
         frequencies: Angular frequencies $\omega_j$ [rad/s].
         phases: Phases $\varphi_j$ [rad]; None means zero.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> d = qj.disturbances.SumOfSines(amplitudes=[0.5, 0.25], frequencies=[1.0, 7.0])
+        >>> float(d(0.0)), float(d.bound)
+        (0.0, 0.75)
     """
 
     amplitudes: Float[Array, " terms"] = float_field()
@@ -105,6 +124,12 @@ class BandLimitedNoise(AbstractDisturbance):
         frequencies: Angular frequencies $\omega_j$ [rad/s].
         phases: Phases $\varphi_j$ [rad].
         limit: The bound $\bar d$, positive; the argument `bound`.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> d = qj.disturbances.BandLimitedNoise([100.0], [1.0], [0.0], bound=0.5)
+        >>> round(float(d(0.0)), 3), float(d.bound)
+        (0.5, 0.5)
 
     Source: Shinozuka and Deodatis (1991), Simulation of stochastic processes by spectral representation; the
     $\tanh$ is ours.
