@@ -25,9 +25,6 @@ DEAR = re.compile(
 )
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
-# Public names that still lack an example, to be made fewer: their file is as long as a file may be.
-)
-
 
 def public_names():
     """Every public class and function by its full name."""
