@@ -162,7 +162,11 @@ class CriticalValue:
         return as_html(str(self), self.plot())
 
     def plot(self, ax: Any = None) -> Any:
-        """Every test with its interval, and the probability that was to be shown."""
+        """Every test with its interval, and the probability that was to be shown.
+
+        Args:
+            ax: Matplotlib `Axes` to draw in; None for a new figure.
+        """
         return plot_critical(self, ax)
 
     def __str__(self) -> str:
