@@ -189,12 +189,13 @@ ax.plot(wrong.t, ratios(wrong.t, wrong.y, rho_inf), label="solve_ivp, RK45")
 ax.plot(right.ts, np.abs(right.sigma) / right.rho, label="qj.simulate")
 ax.axhline(1.0, color="black", ls="--", label="edge of the funnel, pole of the tangent")
 ax.set(xlabel="t [s]", ylabel=r"$|\sigma| / \rho$ [-]", title="A step over the pole")
-ax.legend()
+ax.legend(loc="upper right")
+ax.set(ylim=(0.0, 1.35 * ax.get_ylim()[1]))
 plt.show()
 
 # %% [markdown]
 # The tangent has a pole at the edge, $\sigma = \rho$, and is periodic. A step that lands beyond the pole gets a finite, plausible
-# input from the next branch. On that branch the law holds $\sigma$ near $2 \rho$, on the one after it near $4 \rho$, and the
+# input from the next branch. On that branch the law holds $|\sigma|$ near $2 \rho$, on the one after it near $4 \rho$, and the
 # solver's error estimate is happy there. To know that this is wrong one must know the answer.
 #
 # ## A violation that is missed
@@ -245,7 +246,9 @@ print("least of sgn(g) g met on the way:", float(truth.figures.least_gain))
 # %%
 for settings in (qj.SolverSettings(), qj.tight()):
     again = qj.simulate(loop, x0=[0.9, 0.9], t1=20.0, settings=settings)
-    print(f"rtol {float(settings.rtol):g}: {again.verdict.name}, sup |sigma|/rho = {float(again.figures.peak_ratio):.9f}")
+    print(
+        f"rtol {float(settings.rtol):g}: {again.verdict.name}, sup |sigma|/rho = {float(again.figures.peak_ratio):.9f}"
+    )
 
 # %% [markdown]
 # One run says little, though. Notebook 2 asks thousands.
