@@ -15,8 +15,9 @@
 #
 # $$\dot x_i = x_{i+1}, \qquad \dot x_n = f(x) + g(x)\,u + d(t), \qquad y = x_1 .$$
 #
-# It is told the order $n$ and the sign of $g$. Neither $f$ nor $d$ nor the size of $g$ is known to it. This notebook shows
-# the law at work on Example 1 of the paper, and why one should not trust a simulation of it that was put together quickly.
+# It is told the order $n$ and the sign of $g$. Neither $f$ nor $d$ nor the size of $g$ is known to it. This notebook
+# shows the law at work on Example 1 of the paper, and why one should not trust a simulation of it that was put
+# together quickly.
 
 # %%
 # %matplotlib inline
@@ -35,17 +36,17 @@ small = bool(os.environ.get("QSMC_SMOKE"))
 # %% [markdown]
 # ## The four pieces
 #
-# **A surface.** The error is $e = y - x_{des}$. For order 2 the sliding variable is $\sigma = c_1 e + \dot e$ [rad/s], with
-# $c_1 > 0$ [1/s]. Where $\sigma = 0$, the error dies out as $e^{-c_1 t}$, whatever the plant is.
+# **A surface.** The error is $e = y - x_{des}$. For order 2 the sliding variable is $\sigma = c_1 e + \dot e$ [rad/s],
+# with $c_1 > 0$ [1/s]. Where $\sigma = 0$, the error dies out as $e^{-c_1 t}$, whatever the plant is.
 #
-# **A funnel.** $\rho(t) = \rho_0 e^{-\mu t} + \rho_\infty$: it starts at the width $\rho_0 + \rho_\infty$ and shrinks with the
-# rate $\mu$ [1/s] to $\rho_\infty$.
+# **A funnel.** $\rho(t) = \rho_0 e^{-\mu t} + \rho_\infty$: it starts at the width $\rho_0 + \rho_\infty$ and shrinks
+# with the rate $\mu$ [1/s] to $\rho_\infty$.
 #
-# **The law.** $u = -\mathrm{sgn}(g) \tan\frac{\pi \sigma}{2 \rho(t)}$. In the middle of the funnel it does little. Towards the edge
-# it grows without bound, and so $\sigma$ never gets there: $|\sigma(t)| < \rho(t)$ for all $t$.
+# **The law.** $u = -\mathrm{sgn}(g) \tan\frac{\pi \sigma}{2 \rho(t)}$. In the middle of the funnel it does little.
+# Towards the edge it grows without bound, and so $\sigma$ never gets there: $|\sigma(t)| < \rho(t)$ for all $t$.
 #
-# **A promise.** For a bandwidth $\varepsilon > \rho_\infty$, $|\sigma| < \varepsilon$ from
-# $t_r = \frac{1}{\mu} \ln \frac{\rho_0}{\varepsilon - \rho_\infty}$ [s] on, and then $e$ ends below $\varepsilon / c_1$.
+# **A promise.** For a bandwidth $\varepsilon > \rho_\infty$, $|\sigma| < \varepsilon$ from $t_r = \frac{1}{\mu} \ln
+# \frac{\rho_0}{\varepsilon - \rho_\infty}$ [s] on, and then $e$ ends below $\varepsilon / c_1$.
 
 # %%
 surface = qj.SlidingSurface([2.0])
@@ -57,8 +58,8 @@ print("bounds on e and its rate in the end:", surface.error_bounds(0.1))
 # %% [markdown]
 # ## Example 1
 #
-# A pendulum of 10 g on a rod of 9.8 m is to follow $\sin t$ while $d = 0.5 \sin t$ disturbs it. The numbers of the surface and
-# of the funnel above are the paper's.
+# A pendulum of 10 g on a rod of 9.8 m is to follow $\sin t$ while $d = 0.5 \sin t$ disturbs it. The numbers of the
+# surface and of the funnel above are the paper's.
 
 # %%
 plant = qj.plants.InvertedPendulum(mass=0.01, length=9.8, friction=0.01, gravity=9.8)
@@ -70,8 +71,9 @@ run = qj.simulate(loop, x0=[0.9, 0.9], t1=20.0)
 print(run)
 
 # %% [markdown]
-# `sup |sigma|/rho` is how close the run came to the edge: 0 is the middle, 1 is the edge. `margin` is what was left. Three
-# claims are judged: the *funnel* is kept, the bandwidth is *reached* in time, and the *tracking* error ends in its bound.
+# `sup |sigma|/rho` is how close the run came to the edge: 0 is the middle, 1 is the edge. `margin` is what was left.
+# Three claims are judged: the *funnel* is kept, the bandwidth is *reached* in time, and the *tracking* error ends in
+# its bound.
 #
 # The four pictures of the paper: output, error, input, and the sliding variable in its funnel.
 
@@ -79,8 +81,9 @@ print(run)
 run.plot()
 
 # %% [markdown]
-# Figure 1 of the paper is the plane of $e$ and $\dot e$. The funnel's edges $\sigma = \pm\rho(t)$ are two parallel lines that
-# close in on the surface, and the run (red) stays between them. Then it slides along the surface to the middle.
+# Figure 1 of the paper is the plane of $e$ and $\dot e$. The funnel's edges $\sigma = \pm\rho(t)$ are two parallel
+# lines that close in on the surface, and the run (red) stays between them. Then it slides along the surface to the
+# middle.
 
 # %%
 run.plot_phase_plane()
@@ -96,9 +99,9 @@ for start in qj.paper.STARTS[1]:
 # %% [markdown]
 # ## Try it
 #
-# Move the sliders, and see what each number does. A narrow funnel costs nothing here: the loop is ideal. A start that is not
-# inside the funnel is INADMISSIBLE: the theorem says nothing of it, and there is nothing to draw. Without `ipywidgets` there is
-# one picture instead.
+# Move the sliders, and see what each number does. A narrow funnel costs nothing here: the loop is ideal. A start that
+# is not inside the funnel is INADMISSIBLE: the theorem says nothing of it, and there is nothing to draw. Without
+# `ipywidgets` there is one picture instead.
 
 
 # %%
@@ -155,8 +158,8 @@ def euler(step, rho_inf):
 
 
 # %% [markdown]
-# Then narrow the funnel, step by step, and note the largest $|\sigma| / \rho$ that each method finds. The theorem says that it
-# is below 1, at every width.
+# Then narrow the funnel, step by step, and note the largest $|\sigma| / \rho$ that each method finds. The theorem says
+# that it is below 1, at every width.
 
 
 # %%
@@ -194,14 +197,15 @@ ax.set(ylim=(0.0, 1.35 * ax.get_ylim()[1]))
 plt.show()
 
 # %% [markdown]
-# The tangent has a pole at the edge, $\sigma = \rho$, and is periodic. A step that lands beyond the pole gets a finite, plausible
-# input from the next branch. On that branch the law holds $|\sigma|$ near $2 \rho$, on the one after it near $4 \rho$, and the
-# solver's error estimate is happy there. To know that this is wrong one must know the answer.
+# The tangent has a pole at the edge, $\sigma = \rho$, and is periodic. A step that lands beyond the pole gets a
+# finite, plausible input from the next branch. On that branch the law holds $|\sigma|$ near $2 \rho$, on the one after
+# it near $4 \rho$, and the solver's error estimate is happy there. To know that this is wrong one must know the
+# answer.
 #
 # ## A violation that is missed
 #
-# Now break the premise in earnest. At 3 s the actuator is reversed for less than 0.1 s, so that $g$ changes its sign. While it is
-# reversed, the law pushes $\sigma$ out of its funnel.
+# Now break the premise in earnest. At 3 s the actuator is reversed for less than 0.1 s, so that $g$ changes its sign.
+# While it is reversed, the law pushes $\sigma$ out of its funnel.
 
 
 # %%
@@ -230,8 +234,9 @@ print("solve_ivp:", missed.message, f"Largest |sigma|/rho {ratios(missed.t, miss
 print("qj.simulate:", truth.verdict.name, f"at {float(truth.figures.violation_time):.4f} s.", truth.outcome.advice)
 
 # %% [markdown]
-# SciPy's steps went past those few hundredths of a second, and it reports a run that never came near the edge. At a tolerance of
-# 1e-6 it would see the edge, and then chatter about it for a hundred thousand steps. `least_gain` names the broken premise:
+# SciPy's steps went past those few hundredths of a second, and it reports a run that never came near the edge. At a
+# tolerance of 1e-6 it would see the edge, and then chatter about it for a hundred thousand steps. `least_gain` names
+# the broken premise:
 
 # %%
 print("least of sgn(g) g met on the way:", float(truth.figures.least_gain))
@@ -239,9 +244,10 @@ print("least of sgn(g) g met on the way:", float(truth.figures.least_gain))
 # %% [markdown]
 # ## What is done instead
 #
-# The loop is integrated in the coordinate $s = \operatorname{asinh} \tan \frac{\pi \sigma}{2 \rho}$. The funnel is then the whole
-# line, the law is $u = -\mathrm{sgn}(g) \sinh s$, and there is no pole to step over. A loop that leaves its funnel shows as $|s|$
-# growing without bound in finite time. Peaks are found inside the steps. So a verdict does not hang on the tolerance:
+# The loop is integrated in the coordinate $s = \operatorname{asinh} \tan \frac{\pi \sigma}{2 \rho}$. The funnel is
+# then the whole line, the law is $u = -\mathrm{sgn}(g) \sinh s$, and there is no pole to step over. A loop that leaves
+# its funnel shows as $|s|$ growing without bound in finite time. Peaks are found inside the steps. So a verdict does
+# not hang on the tolerance:
 
 # %%
 for settings in (qj.SolverSettings(), qj.tight()):

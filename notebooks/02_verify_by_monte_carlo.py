@@ -11,8 +11,8 @@
 # %% [markdown]
 # # 2. Verify by Monte Carlo
 #
-# A theorem holds for the loop that it speaks of. Does the guarantee hold for *yours*, over all the starts, disturbances and
-# plants that may come? Ask many runs, and say how sure the answer is.
+# A theorem holds for the loop that it speaks of. Does the guarantee hold for *yours*, over all the starts,
+# disturbances and plants that may come? Ask many runs, and say how sure the answer is.
 
 # %%
 # %matplotlib inline
@@ -35,9 +35,9 @@ small = bool(os.environ.get("QSMC_SMOKE"))
 # %% [markdown]
 # ## A scenario
 #
-# A scenario is a function from named random numbers to one run: a loop, a start, a horizon [s]. `draw.uniform("mass", ...)` draws,
-# `draw.parameter("mu", ...)` stays at its default until somebody substitutes it. Here Example 1 of the paper has a pendulum that
-# is known to 20 % only, a random disturbance with $|d| \le 0.5$ rad/s², and a random start.
+# A scenario is a function from named random numbers to one run: a loop, a start, a horizon [s]. `draw.uniform("mass",
+# ...)` draws, `draw.parameter("mu", ...)` stays at its default until somebody substitutes it. Here Example 1 of the
+# paper has a pendulum that is known to 20 % only, a random disturbance with $|d| \le 0.5$ rad/s², and a random start.
 
 
 # %%
@@ -67,12 +67,13 @@ result = qj.verify(study, runs=512 if small else 4000, seed=0)
 print(result)
 
 # %% [markdown]
-# **How to read it.** Each line is a claim of Theorem 1. A run HELD, or was VIOLATED, or is UNDECIDED: the solver could not tell.
-# INADMISSIBLE runs break a premise before they begin and are counted apart.
+# **How to read it.** Each line is a claim of Theorem 1. A run HELD, or was VIOLATED, or is UNDECIDED: the solver could
+# not tell. INADMISSIBLE runs break a premise before they begin and are counted apart.
 #
-# The interval is about the *probability* that a run leaves the funnel. No violation in $N$ runs does not make it 0. It makes
-# probabilities incredible that would have shown: with 95 % confidence it is at most about $3.7 / N$. The interval is Clopper and
-# Pearson's, exact for independent runs. Undecided runs count as violated in its upper end and as held in its lower one.
+# The interval is about the *probability* that a run leaves the funnel. No violation in $N$ runs does not make it 0. It
+# makes probabilities incredible that would have shown: with 95 % confidence it is at most about $3.7 / N$. The
+# interval is Clopper and Pearson's, exact for independent runs. Undecided runs count as violated in its upper end and
+# as held in its lower one.
 
 # %%
 result.plot()
@@ -82,9 +83,8 @@ result.plot()
 
 # %%
 for probability in (1e-2, 1e-3, 1e-4, 1e-6):
-    print(
-        f"{probability:7g}: {qj.runs_needed(probability, 0.95):9d} runs, at 99.9 %: {qj.runs_needed(probability, 0.999)}"
-    )
+    usual, careful = (qj.runs_needed(probability, confidence) for confidence in (0.95, 0.999))
+    print(f"{probability:7g}: {usual:9d} runs, at 99.9 % confidence {careful:9d}")
 
 # %% [markdown]
 # ## The worst runs
@@ -95,9 +95,8 @@ for probability in (1e-2, 1e-3, 1e-4, 1e-6):
 worst = result.worst
 for i in range(len(worst)):
     row = worst.row(i)
-    print(
-        f"run {row['index']:5d}: sup |sigma|/rho {row['peak_ratio']:.4f} at {row['peak_time']:.3f} s, mass {row['mass']:.5f} kg"
-    )
+    print(f"run {row['index']:5d}: sup |sigma|/rho {row['peak_ratio']:.4f} at {row['peak_time']:.3f} s,", end=" ")
+    print(f"length {row['length']:.2f} m, start ({row['x0[0]']:.2f}, {row['x0[1]']:.2f})")
 
 # %% [markdown]
 # Run $i$ follows from study, seed and $i$ alone, so any of them can be solved again, in full.
@@ -124,9 +123,9 @@ plt.show()
 #
 # ## Stopping when you like what you see
 #
-# An interval for a fixed number of runs is right 95 % of the time **at that number**. If you look after every hundred runs and stop
-# at the look that suits you, you take the luckiest of many intervals. Try it with a coin that shows a violation with probability
-# 0.02: how often does *some* interval on the way miss 0.02?
+# An interval for a fixed number of runs is right 95 % of the time **at that number**. If you look after every hundred
+# runs and stop at the look that suits you, you take the luckiest of many intervals. Try it with a coin that shows a
+# violation with probability 0.02: how often does *some* interval on the way miss 0.02?
 
 # %%
 rng = np.random.default_rng(1)
@@ -142,8 +141,9 @@ for name, count in missed.items():
     print(f"{name:20} missed at some look in {100 * count / experiments:.0f} % of {experiments} experiments")
 
 # %% [markdown]
-# A confidence sequence holds at all numbers of runs at once. While nothing is violated it ends at $3.7 / N$, like the interval for
-# a fixed number; otherwise it is somewhat wider, and that is the price of looking. Here is the last of those experiments.
+# A confidence sequence holds at all numbers of runs at once. While nothing is violated it ends at $3.7 / N$, like the
+# interval for a fixed number; otherwise it is somewhat wider, and that is the price of looking. Here is the last of
+# those experiments.
 
 # %%
 figure, ax = plt.subplots(figsize=(8, 4), layout="constrained")
@@ -156,9 +156,9 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# So there are stopping rules, and with one the intervals are those of a confidence sequence: `UntilBelow(p)` stops when the
-# probability is known to be at most $p$ or known to be above it, `UntilWidth(w)` when the interval is narrow enough, and
-# `SequentialTest(p0, p1)` is Wald's test. They look every 16384 runs.
+# So there are stopping rules, and with one the intervals are those of a confidence sequence: `UntilBelow(p)` stops
+# when the probability is known to be at most $p$ or known to be above it, `UntilWidth(w)` when the interval is narrow
+# enough, and `SequentialTest(p0, p1)` is Wald's test. They look every 16384 runs.
 
 # %%
 early = qj.verify(study, runs=100_000, until=qj.stopping.UntilBelow(1e-3 if small else 2e-4))
@@ -167,8 +167,9 @@ print(early)
 # %% [markdown]
 # ## From the shell, in a folder that lasts
 #
-# The same thing is `qsmc verify STUDY.py --out RUN`. `STUDY.py` is a file with the scenario and the study, and `RUN` is a folder
-# that keeps the rows. Interrupt it (Ctrl-C, a crash, a full disk), and the same command goes on where it stopped.
+# The same thing is `qsmc verify STUDY.py --out RUN`. `STUDY.py` is a file with the scenario and the study, and `RUN`
+# is a folder that keeps the rows. Interrupt it (Ctrl-C, a crash, a full disk), and the same command goes on where it
+# stopped.
 
 # %%
 folder = Path(tempfile.mkdtemp())
@@ -187,8 +188,8 @@ def shell(*words):
 shell("verify", "study.py", "--runs", "500", "--out", "run")
 
 # %% [markdown]
-# Now ask for more. Nothing is solved a second time. Since you have seen the first result before you asked for more runs, the
-# intervals are from now on those of a confidence sequence: the folder remembers.
+# Now ask for more. Nothing is solved a second time. Since you have seen the first result before you asked for more
+# runs, the intervals are from now on those of a confidence sequence: the folder remembers.
 
 # %%
 if not small:
@@ -197,5 +198,5 @@ shell("status", "run")
 shutil.rmtree(folder)
 
 # %% [markdown]
-# `run/report.html` is one page to hand on. `run/blocks` are Parquet files for pandas, polars or duckdb. `qsmc show run --worst 1`
-# shows the worst run again. With `--until-below 1e-4` it stops by itself.
+# `run/report.html` is one page to hand on. `run/blocks` are Parquet files for pandas, polars or duckdb. `qsmc show run
+# --worst 1` shows the worst run again. With `--until-below 1e-4` it stops by itself.

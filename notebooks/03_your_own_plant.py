@@ -11,8 +11,8 @@
 # %% [markdown]
 # # 3. Your own plant
 #
-# A plant is a class with an order and two methods. This notebook brings one, step by step, verifies it, and then makes the
-# mistakes that one makes.
+# A plant is a class with an order and two methods. This notebook brings one, step by step, verifies it, and then makes
+# the mistakes that one makes.
 
 # %%
 # %matplotlib inline
@@ -30,13 +30,14 @@ small = bool(os.environ.get("QSMC_SMOKE"))
 # %% [markdown]
 # ## The plant
 #
-# A load hangs on a rope of length $l$ [m] under a trolley, and the input $u$ [m/s²] is the trolley's acceleration. The rope's
-# angle $\varphi$ [rad] obeys
+# A load hangs on a rope of length $l$ [m] under a trolley, and the input $u$ [m/s²] is the trolley's acceleration. The
+# rope's angle $\varphi$ [rad] obeys
 #
 # $$\ddot\varphi = -\frac{G}{l} \sin\varphi - \delta \dot\varphi - \frac{\cos\varphi}{l} u + d(t).$$
 #
-# In the form $\dot x_1 = x_2$, $\dot x_2 = f + g u + d$ the *drift* $f$ is all that happens without input, and the *gain* $g$ is
-# what one unit of input does. Here $g < 0$ as long as $|\varphi| < \pi / 2$: the load lags behind its trolley.
+# In the form $\dot x_1 = x_2$, $\dot x_2 = f + g u + d$ the *drift* $f$ is all that happens without input, and the
+# *gain* $g$ is what one unit of input does. Here $g < 0$ as long as $|\varphi| < \pi / 2$: the load lags behind its
+# trolley.
 #
 # Write the methods with `jax.numpy`, and index the state. Fields are numbers of the plant, all of which can be drawn.
 
@@ -66,8 +67,8 @@ class Crane(qj.AbstractPlant):
 #
 # The **disturbance** is bounded. Gusts of wind, $|d| \le 0.4$ rad/s².
 #
-# The **surface** $\sigma = 2 e + \dot e$ makes errors decay at 2 per second. The **funnel** must contain the start, and end below
-# the bandwidth that you want.
+# The **surface** $\sigma = 2 e + \dot e$ makes errors decay at 2 per second. The **funnel** must contain the start,
+# and end below the bandwidth that you want.
 
 # %%
 reference = qj.references.Smooth(lambda t: 0.3 * jnp.sin(1.5 * t) * jnp.exp(-(((t - 7.5) / 4.0) ** 2)))
@@ -196,8 +197,9 @@ attempt(lambda: told(broken))
 print("least of gain_sign * g:", float(broken.figures.least_gain))
 
 # %% [markdown]
-# **A jump that nobody declared.** This one is the worst: nothing is said. Let something hit the load at 5 s, for a millisecond.
-# A disturbance of your own has `break_times`, to which the solver steps. Leave them out, and a step may pass over the blow.
+# **A jump that nobody declared.** This one is the worst: nothing is said. Let something hit the load at 5 s, for a
+# millisecond. A disturbance of your own has `break_times`, to which the solver steps. Leave them out, and a step may
+# pass over the blow.
 
 
 # %%
@@ -234,5 +236,5 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# What stands in `qj.disturbances` declares its jumps: build from `Piecewise`, `Telegraph` and `SmoothSteps` where you can.
-# A plant has no `break_times`: keep its drift and its gain smooth in time, or put the jump into the disturbance.
+# What stands in `qj.disturbances` declares its jumps: build from `Piecewise`, `Telegraph` and `SmoothSteps` where you
+# can. A plant has no `break_times`: keep its drift and its gain smooth in time, or put the jump into the disturbance.

@@ -11,8 +11,8 @@
 # %% [markdown]
 # # 4. Where the guarantee breaks
 #
-# The paper's proof needs an input that is continuous, unlimited and computed from exact states. A computer samples, is late,
-# saturates, and measures with noise. How much of that does the guarantee survive?
+# The paper's proof needs an input that is continuous, unlimited and computed from exact states. A computer samples, is
+# late, saturates, and measures with noise. How much of that does the guarantee survive?
 
 # %%
 # %matplotlib inline
@@ -29,10 +29,10 @@ runs = 64 if small else 256
 # %% [markdown]
 # ## An implementation
 #
-# An `Implementation` is what the computer does to the law. At $t_k = k \tau$ the states are read, with noise, and the input is
-# computed from them, limited to $\pm u_{max}$, and held until the next one arrives, `delay` [s] later. Every number can be drawn or
-# swept. Here is Example 1 of the paper, uncertain, and implemented: $\tau$ = 2 ms, a delay of 2 ms, $|u| \le 20$ N m, noise of up
-# to $10^{-3}$ rad/s on the rate.
+# An `Implementation` is what the computer does to the law. At $t_k = k \tau$ the states are read, with noise, and the
+# input is computed from them, limited to $\pm u_{max}$, and held until the next one arrives, `delay` [s] later. Every
+# number can be drawn or swept. Here is Example 1 of the paper, uncertain, and implemented: $\tau$ = 2 ms, a delay of 2
+# ms, $|u| \le 20$ N m, noise of up to $10^{-3}$ rad/s on the rate.
 
 
 # %%
@@ -59,8 +59,9 @@ print(run)
 run.plot()
 
 # %% [markdown]
-# Figures are added: `sup (|sigma| - rho)` is how far outside the run got, and the last line is what "chattering-free" is worth.
-# The *excess variation* is the total variation of $u$ beyond that of the equivalent input $-w / g$, which any controller needs.
+# Figures are added: `sup (|sigma| - rho)` is how far outside the run got, and the last line is what "chattering-free"
+# is worth. The *excess variation* is the total variation of $u$ beyond that of the equivalent input $-w / g$, which
+# any controller needs.
 #
 # Slow the loop down, and it breaks.
 
@@ -72,11 +73,11 @@ slow.plot()
 # %% [markdown]
 # ## A map
 #
-# `robustness_map` makes the same runs at each value of a name, so that neighbours differ by what the name does and not by chance.
-# All intervals hold together. Lines are what theory knows:
+# `robustness_map` makes the same runs at each value of a name, so that neighbours differ by what the name does and not
+# by chance. All intervals hold together. Lines are what theory knows:
 #
-# - *local*: where the loop, linearised along its nominal run, loses stability. A hold does at
-#   $\tau = 2 / k'$ with the loop gain $k' = \frac{\pi g}{2 \rho} (1 + (w / g)^2)$ [1/s];
+# - *local*: where the loop, linearised along its nominal run, loses stability. A hold does at $\tau = 2 / k'$ with the
+#   loop gain $k' = \frac{\pi g}{2 \rho} (1 + (w / g)^2)$ [1/s];
 # - *sufficient*: up to here every run that meets the bounds on $w$ and $g$ keeps the funnel.
 
 # %%
@@ -107,8 +108,8 @@ two.plot()
 # %% [markdown]
 # ## What theory says
 #
-# The thresholds are functions of their own, for planning before anything is simulated. With $g = 1 / (m l^2)$, a residual $w$
-# [rad/s²] at rest and the funnel's final width:
+# The thresholds are functions of their own, for planning before anything is simulated. With $g = 1 / (m l^2)$, a
+# residual $w$ [rad/s²] at rest and the funnel's final width:
 
 # %%
 gain, residual, rho_inf, c = 1.0 / (0.01 * 9.8**2), 0.6, 0.05, [2.0]
@@ -122,8 +123,8 @@ safe = thresholds.sufficient_period(residual_bound=6.0, gain_bounds=(0.87, 1.3),
 print(f"sufficient period  {safe.period:8.4g} s if |w| <= 6, with |sigma|/rho <= {safe.ratio:.3f}")
 
 # %% [markdown]
-# They go with $\rho_\infty$: a funnel half as wide wants a computer twice as fast. That is the price of accuracy, and it isn't
-# visible in the ideal loop.
+# They go with $\rho_\infty$: a funnel half as wide wants a computer twice as fast. That is the price of accuracy, and
+# it isn't visible in the ideal loop.
 
 # %%
 widths = np.geomspace(0.005, 0.09, 30)
@@ -137,8 +138,8 @@ plt.show()
 # %% [markdown]
 # ## A number to quote
 #
-# `critical_value` searches for the last value at which the probability of leaving the funnel is *shown* to be small. Each test has
-# fresh runs, and the confidence holds over the whole search.
+# `critical_value` searches for the last value at which the probability of leaving the funnel is *shown* to be small.
+# Each test has fresh runs, and the confidence holds over the whole search.
 
 # %%
 below, steps = (0.1, 3) if small else (0.02, 8)
@@ -149,9 +150,9 @@ critical.plot()
 # %% [markdown]
 # ## Rivals
 #
-# What else would one use? Every law gets the same loop, the same runs, the same limit and period. Laws with a slope at $\sigma = 0$
-# get that of the quasi-sliding-mode law, $\pi / (2 \rho_\infty)$. The sign law and super-twisting need what the quasi-sliding-mode
-# law does without: bounds on the residual $w$ [rad/s²], on its rate, and on the gain.
+# What else would one use? Every law gets the same loop, the same runs, the same limit and period. Laws with a slope at
+# $\sigma = 0$ get that of the quasi-sliding-mode law, $\pi / (2 \rho_\infty)$. The sign law and super-twisting need
+# what the quasi-sliding-mode law does without: bounds on the residual $w$ [rad/s²], on its rate, and on the gain.
 
 # %%
 RESIDUAL, RATE, LEAST_GAIN = 11.25, 8.0, 1.0 / (0.012 * 9.8**2)
@@ -188,6 +189,6 @@ print(comparison)
 comparison.plot()
 
 # %% [markdown]
-# All of them keep the funnel. The difference is in the last figure: the sign law pays for it with an input that never rests, and
-# the quasi-sliding-mode law does not chatter. How much noise changes that, and more rivals, is in
+# All of them keep the funnel. The difference is in the last figure: the sign law pays for it with an input that never
+# rests, and the quasi-sliding-mode law does not chatter. How much noise changes that, and more rivals, is in
 # `studies/controllers_compared.py`.
