@@ -57,12 +57,13 @@ study = qj.Study(scenario, bandwidth=0.1)
 # ## What is wanted
 #
 # Wear the actuator least: make the mean total variation of the input, $\int |\dot u| dt$, small. Keep a reaching time
-# of 1.5 s, a peak input of 6 N m, and a tenth of the funnel as margin, in the worst of the training runs.
+# of 1.5 s and a peak input of 7 N m, in the worst of the training runs. The latter also keeps a margin to the funnel's
+# edge, since $|u| = \tan \frac{\pi |\sigma|}{2 \rho}$.
 
 # %%
 parameters = ["mu", "rho_inf"]
 objective = "mean(total_variation_u)"
-constraints = ["worst(reach_time) <= 1.5", "worst(peak_u) <= 6", "worst(peak_ratio) <= 0.9"]
+constraints = ["worst(reach_time) <= 1.5", "worst(peak_u) <= 7"]
 tuned = qj.tune(
     study,
     parameters,
@@ -87,22 +88,23 @@ tuned.plot()
 # %% [markdown]
 # ## Before and after
 #
-# The same run, with the paper's gains and with the tuned ones.
+# The same run, with the paper's gains and with the tuned ones, in half a second of its steady phase. The wider funnel
+# passes less noise on to the input.
 
 # %%
 pairs = {"before": study.replay(5), "tuned": tuned.study.replay(5)}
 figure, axes = plt.subplots(1, 2, figsize=(12, 4), layout="constrained")
 for (label, run), colour in zip(pairs.items(), ("tab:blue", "tab:orange"), strict=True):
-    axes[0].plot(
-        run.ts, run.u, color=colour, lw=0.8, label=f"{label}, variation {float(run.figures.total_variation_u):.1f}"
-    )
-    axes[1].plot(run.ts, run.sigma, color=colour, label=label)
-    axes[1].plot(run.ts, run.rho, "--", color=colour)
-    axes[1].plot(run.ts, -run.rho, "--", color=colour)
+    now = (run.ts > 2.4) & (run.ts < 2.9)
+    axes[0].plot(run.ts[now], run.u[now], color=colour, lw=1.0, label=label)
+    axes[1].plot(run.ts[now], run.sigma[now], color=colour, label=label)
+    for sign in (-1.0, 1.0):
+        axes[1].plot(run.ts[now], sign * run.rho[now], "--", color=colour)
+    print(f"{label}: total variation of the whole run {float(run.figures.total_variation_u):.1f} N m")
 axes[0].set(xlabel="t [s]", ylabel="u [N m]", title="Input")
-axes[1].set(xlabel="t [s]", ylabel=r"$\sigma$ [rad/s]", ylim=(-2.5, 2.5), title="Sliding variable in its funnel")
+axes[1].set(xlabel="t [s]", ylabel=r"$\sigma$ [rad/s]", title="Sliding variable in its funnel (dashed)")
 for ax in axes:
-    ax.legend()
+    ax.legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
@@ -134,21 +136,24 @@ landscape.plot_pareto()
 # %% [markdown]
 # ## Why training numbers are no guarantee
 #
-# The gains were *chosen* because they do well on the training runs, so that these runs flatter them. `worst(peak_u) <=
-# 5` held on the runs in training; it says nothing of the next one. And a search goes to the edge of its constraints,
-# where the next run may well fall on the other side.
+# The gains were *chosen* because they do well on the training runs, so these runs flatter them. And a search goes to
+# the edge of its constraints, where the next run may well fall on the other side.
 #
 # So the certificate is made of fresh runs, with a seed that training never saw. Each statement about single runs gets
-# an exact interval of the probability that it is false, and all of them hold together, whatever number of candidates
-# and designs there were. It is GRANTED if every one ends below the `risk`. If not, the search begins again with
-# tighter constraints.
+# an exact interval of the probability that it is false, and all of them hold together, however many candidates and
+# designs there were. A certificate is GRANTED if every interval ends below the `risk`. If it is REFUSED, the search
+# begins again with other training runs and with constraints that are a tenth tighter. Here are all certificates, in
+# order:
 
 # %%
-print(tuned.certificate)
-print()
+for certificate in tuned.certificates:
+    print(certificate, "\n")
 print(tuned.conclusion())
 
 # %% [markdown]
+# At the default size of this notebook the first design keeps its reaching time in all training runs and misses it in 2
+# % of the fresh ones. It is refused, and the second design, with some distance to its bounds, is granted.
+#
 # The *optimism* is the objective on fresh runs less that in training: what the choice flattered itself by.
 #
 # Anyone can check the tuned study once more, on a seed of their own:
