@@ -104,6 +104,7 @@ for (label, run), colour in zip(pairs.items(), ("tab:blue", "tab:orange"), stric
 axes[0].set(xlabel="t [s]", ylabel="u [N m]", title="Input")
 axes[1].set(xlabel="t [s]", ylabel=r"$\sigma$ [rad/s]", title="Sliding variable in its funnel (dashed)")
 for ax in axes:
+    ax.margins(y=0.25)
     ax.legend(loc="upper right")
 plt.show()
 
@@ -111,7 +112,8 @@ plt.show()
 # ## The landscape
 #
 # With two gains one can look at the whole of it: the objective as contours, where the constraints are kept, and the
-# path of the search. Each cell is solved on the same runs.
+# path of the search. Each cell is solved on the same runs. The star is the best point met in training, which need not
+# be the one that was certified.
 
 # %%
 landscape = qj.landscape(

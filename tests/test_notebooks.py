@@ -1,7 +1,6 @@
 """The notebooks: paired and stripped, and at smoke size they run from top to bottom and show pictures."""
 
 import os
-import warnings
 from pathlib import Path
 
 import pytest
@@ -33,14 +32,11 @@ def executed(path, first=None):
     pytest.importorskip("ipykernel")
     notebook = jupytext.read(path)
     if first is not None:
-        notebook.cells.insert(0, jupytext.read("# %%\n" + first, fmt="py:percent").cells[0])
+        notebook.cells.insert(0, jupytext.reads("# %%\n" + first, fmt="py:percent").cells[0])
     path_of_package = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     env = {**os.environ, "QSMC_SMOKE": "1", "PYTHONPATH": path_of_package}
     resources = {"metadata": {"path": str(path.parent)}}
-    with warnings.catch_warnings():
-        for module in ("jupyter_client", "nbclient", "zmq", "traitlets", "nbformat", "asyncio", "tornado"):
-            warnings.filterwarnings("ignore", category=DeprecationWarning, module=rf"{module}\b")
-        nbclient.NotebookClient(notebook, timeout=600, resources=resources).execute(env=env)
+    nbclient.NotebookClient(notebook, timeout=600, resources=resources).execute(env=env)
     return notebook
 
 
