@@ -12,9 +12,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.columns import described
 from qsmc_jax.study.draw import DrawSpec
@@ -46,12 +43,16 @@ class BlockFile:
 
     def read(self) -> Runs:
         """Its rows, in order."""
+        import pyarrow.parquet as pq
+
         table = pq.read_table(self.path)
         about = json.loads((table.schema.metadata or {})[_KEY])
         return Runs({name: table[name].to_numpy() for name in table.column_names}, tuple(about["names"]))
 
     def about(self) -> dict[str, Any]:
         """What was written of the block besides: how many runs climbed the ladder, and the defects."""
+        import pyarrow.parquet as pq
+
         return json.loads((pq.read_schema(self.path).metadata or {})[_KEY])
 
 
@@ -67,6 +68,9 @@ def write_block(folder: Path, table: Runs, about: dict[str, Any], specs: tuple[D
     Returns:
         The file.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     rows = pa.table(dict(table.columns))
     schema = described(rows.schema, specs).with_metadata({_KEY: json.dumps({"names": table.names, **about})})
     sink = pa.BufferOutputStream()

@@ -3,8 +3,7 @@
 import functools as ft
 import inspect
 import re
-
-import pyarrow as pa
+from typing import Any
 
 from qsmc_jax.simulation.figures import Figures, SampledFigures
 from qsmc_jax.study.draw import DrawSpec
@@ -12,8 +11,10 @@ from qsmc_jax.study.draw import DrawSpec
 _UNIT = re.compile(r"\[([^\]]+)\](?=[.;,: ]|$)")
 
 
-def described(schema: pa.Schema, specs: tuple[DrawSpec, ...]) -> pa.Schema:
-    """The schema with a description of each column, and its unit where it has one of its own."""
+def described(schema: Any, specs: tuple[DrawSpec, ...]) -> Any:
+    """The schema of pyarrow with a description of each column, and its unit where it has one of its own."""
+    import pyarrow as pa
+
     drawn = {column: f"Drawn by the study: {spec.kind}." for spec in specs for column in spec.columns}
     texts = {"index": "Index of the run.", **_figures(), **drawn}
     fields = []
