@@ -54,6 +54,8 @@ def test_a_violation_exits_1():
 def test_an_undecided_verification_exits_3():
     done = qsmc("verify", STUDY, *SMALL, "-S", "t1=1")
     assert done.exit_code == 3
+    # The reaching time is that of the paper, the logarithm of 10 here.
+    assert "The reaching time 2.303 s lies beyond the horizon 1 s: make `t1` longer." in done.output
 
 
 def blocks_of(folder):

@@ -117,6 +117,15 @@ def test_no_certificate_for_what_fails_and_the_risk_of_all_designs_is_shared():
     assert sum(shares) == pytest.approx(0.05, rel=1e-5)
 
 
+@SLOW
+def test_a_refused_design_is_kept_where_no_tighter_one_exists():
+    # The peak is that at the start, tan(pi |x0| / 2 / 2.1) <= 0.93, whatever mu is: kept at 0.95, not at a tenth less.
+    options = {"runs": 64, "certificate_runs": 400, "designs": 3, "risk": 0.1, "block": 64}
+    tuned = qj.tune(qj.Study(coin, bandwidth=0.5), ["mu"], "mean(rms_error)", ["worst(peak_u) <= 0.95"], **options)
+    assert not tuned.is_certified
+    assert [each.seed for each in tuned.certificates] == [1]
+
+
 @pytest.mark.slow
 def test_a_certificate_is_granted_by_runs_that_training_never_saw():
     study = qj.Study(coin, bandwidth=0.5).substitute(coin=0.9)

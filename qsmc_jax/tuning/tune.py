@@ -155,6 +155,10 @@ class Claim:
         require(self.runs >= 0, f"Argument `certificate_runs` must not be negative, but is {self.runs}.")
 
 
+class _Infeasible(ValueError):
+    """No gains were found that keep the constraints."""
+
+
 def _designed(
     batch: Batch, search: Search, claim: Claim, progress: Progress | None
 ) -> tuple[Evaluation, Certificate | None, tuple[Certificate, ...]]:
@@ -164,7 +168,12 @@ def _designed(
     for attempt in range(claim.designs):
         batch.attempt, batch.seed = attempt, seed + 2 * attempt
         batch.inside = 1.0 - _TIGHTER**attempt
-        candidates = _candidates(batch, search)
+        try:
+            candidates = _candidates(batch, search)
+        except _Infeasible:
+            if best is None:
+                raise
+            break  # a later design is tighter than what was asked for: the refused one before it is all there is
         if not claim.runs:
             return candidates[0], None, ()
         made = certify(
@@ -204,7 +213,7 @@ def _candidates(batch: Batch, search: Search) -> list[Evaluation]:
     found.sort(key=lambda each: each.merit)
     feasible = [each for each in found if each.is_feasible]
     if not feasible:
-        raise ValueError(_infeasible(batch, found[0]))
+        raise _Infeasible(_infeasible(batch, found[0]))
     return feasible
 
 

@@ -165,6 +165,10 @@ class Verification:
 
     def _doubts(self) -> str:
         doubts = [f"{c.undecided} runs undecided on {c.name}." for c in self.claims if c.undecided]
+        nominal = self.study.nominal
+        t_r, t1 = float(nominal.loop.control.funnel.reaching_time(self.study.bandwidth)), float(nominal.t1)
+        if t_r >= t1 and any(c.undecided for c in self.claims[1:]):
+            doubts.append(f"The reaching time {t_r:.4g} s lies beyond the horizon {t1:.4g} s: make `t1` longer.")
         doubts += [f"No admissible run for {c.name}." for c in self.claims if c.verdict == Verdict.INADMISSIBLE]
         if self.defects:
             doubts.append(
