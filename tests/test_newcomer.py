@@ -15,6 +15,7 @@ def qsmc(*arguments):
     return CliRunner().invoke(app, list(map(str, arguments)))
 
 
+@pytest.mark.slow
 def test_init_writes_a_study_that_holds_at_once(tmp_path):
     path = tmp_path / "my_study.py"
     done = qsmc("init", path)

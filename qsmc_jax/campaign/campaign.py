@@ -122,6 +122,10 @@ def run_campaign(
         for done in blocks.in_order(solving):
             for table in folder.tables(evidence.runs, done):
                 evidence.add(table)
+            require(
+                evidence.runs == done,
+                f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done}. Give the command again.",
+            )
             if progress is not None:
                 progress(done, runs)
             decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
