@@ -124,7 +124,7 @@ def run_campaign(
                 evidence.add(table)
             require(
                 evidence.runs == done,
-                f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done}. Give the command again.",
+                f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done}. Give it again.",
             )
             if progress is not None:
                 progress(done, runs)
