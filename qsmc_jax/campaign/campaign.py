@@ -124,8 +124,8 @@ def run_campaign(
                 evidence.add(table)
             require(
                 evidence.runs == done,
-                f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done} are there. Give the same "
-                "command again: it solves what is missing.",
+                f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done} are there. Give the "
+                "same command again: it solves what is missing.",
             )
             if progress is not None:
                 progress(done, runs)
