@@ -40,8 +40,8 @@ def executed(path, first=None):
     try:
         client.execute(env=env)
     except nbclient.exceptions.CellTimeoutError:
-        # Seen twice in some thirty runs, in notebook 01 and on a busy machine: a kernel that waits for ever, with little
-        # computed. Not understood: once more, in a new kernel.
+        # Seen twice in some thirty runs, in notebook 01 on a busy machine: a kernel that waits for ever. Not
+        # understood: once more, in a new one.
         client.execute(env=env)
     return notebook
 
