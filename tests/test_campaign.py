@@ -10,6 +10,7 @@ import pytest
 import qsmc_jax as qj
 from qsmc_jax.campaign.campaign import prepare, run_campaign, work_shard
 from qsmc_jax.campaign.contrast import contrast
+from qsmc_jax.campaign.engines import Task, Threads
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.campaign.replay import replay
@@ -51,7 +52,7 @@ def new(path, recipe=RECIPE, size=SIZE):
 def solved_in(monkeypatch):
     """The ranges solved from now on."""
     solved, solve = [], Recipe.solve
-    monkeypatch.setattr(Recipe, "solve", lambda self, runs: solved.append(runs) or solve(self, runs))
+    monkeypatch.setattr(Recipe, "solve", lambda self, runs, *rest: solved.append(runs) or solve(self, runs, *rest))
     return solved
 
 
@@ -110,6 +111,22 @@ def test_a_finished_campaign_solves_no_block_again(tmp_path, monkeypatch):
     solved = solved_in(monkeypatch)
     assert run_campaign(folder, RECIPE, RUNS) is not None
     assert solved == []
+
+
+def test_an_engine_that_is_closed_leaves_the_block_in_hand(monkeypatch):
+    finished, solve = [], Recipe.solve
+
+    def told(self, runs, progress=None):
+        solved = solve(self, runs, progress)
+        finished.append(runs)
+        return solved
+
+    monkeypatch.setattr(Recipe, "solve", told)
+    tasks = [Task(0, (range(64),)), Task(1, (range(64, 64 + 2000 * 64),))]
+    results = Threads().solve(RECIPE, iter(tasks))
+    assert next(results)[0] == tasks[0]
+    results.close()
+    assert finished == [range(64)]
 
 
 CHANGES = {

@@ -42,7 +42,9 @@ def test_verify_writes_rows_verdict_and_picture(tmp_path):
 
 def test_json_is_the_only_thing_on_standard_output():
     done = qsmc("verify", STUDY, *SMALL, "--json")
-    assert json.loads(done.stdout)["verdict"] == "HELD"
+    printed = json.loads(done.stdout)
+    assert printed["verdict"] == "HELD"
+    assert printed["provenance"]["study_sha256"]
 
 
 def test_a_violation_exits_1():

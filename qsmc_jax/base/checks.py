@@ -49,6 +49,11 @@ def require_sign(name: str, value: Any) -> None:
         require(ok, f"Argument `{name}` must be 1 or -1, but is {show(value)}. It is the sign of g.")
 
 
+def require_fraction(name: str, value: Any) -> None:
+    """Raises unless `value` lies strictly between 0 and 1."""
+    require(bool(0.0 < value < 1.0), f"Argument `{name}` must lie strictly between 0 and 1, but is {value}.")
+
+
 def require_shape(name: str, value: Any, shape: tuple[int, ...], why: str) -> None:
     """Raises unless `value` has the given shape; `why` says where the shape comes from."""
     is_shape = np.shape(value)

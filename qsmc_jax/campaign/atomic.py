@@ -5,8 +5,6 @@ import os
 import uuid
 from pathlib import Path
 
-from qsmc_jax.base.checks import require
-
 
 def write_whole(path: Path, content: bytes) -> None:
     """Writes under a temporary name beside it, flushes to the disk, and renames.
@@ -29,11 +27,10 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
-        require(
-            False,
+        raise ValueError(
             f"File `{path}` can't be written: {error.strerror}. What was written before is whole: make room, or make "
-            "the folder writable, and give the same command again.",
-        )
+            "the folder writable, and give the same command again."
+        ) from None
 
 
 def _flush_folder(folder: Path) -> None:

@@ -1,7 +1,6 @@
 """A verification that lasts: blocks of rows in a run folder, gone on with where it stopped."""
 
 import dataclasses
-import functools as ft
 from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,14 +11,14 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.campaign.engines import AbstractEngine, Task, Threads
 from qsmc_jax.campaign.folder import FILE_RUNS, RunFolder, Session
 from qsmc_jax.campaign.recipe import Recipe
-from qsmc_jax.study.monte_carlo import Progress, stream
+from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs
-from qsmc_jax.verification.evidence import Effort, Evidence
+from qsmc_jax.verification.evidence import Effort, Evidence, check_request
 from qsmc_jax.verification.result import Verification
 from qsmc_jax.verification.stopping import AbstractRule, decision_of
 
-# By how much a row solved again may differ where rounding does, in units of the relative tolerance.
-_AGREEMENT = 1e3
+# By how much sup |sigma|/rho may differ where rounding does, in units of the relative tolerance, and a drawn number.
+_AGREEMENT, _DRAWN = 1e3, 1e-9
 
 
 def prepare(
@@ -110,9 +109,7 @@ def run_campaign(
         ...     print(qj.campaign.run_campaign(folder, recipe, runs=64).conclusion())
         HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
-    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
-    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
-    require(worst >= 1, f"Argument `worst` must be at least 1, but is {worst}.")
+    check_request(runs, confidence, worst)
     is_anytime = folder.ask_for(runs, until is not None)
     evidence, session = Evidence(recipe.study, worst, recipe.block), folder.begin_session(provenance or {})
     state, decision = "interrupted", None
@@ -139,10 +136,9 @@ def run_campaign(
             session.write(state)
     if state != "done":
         return None
-    solve = ft.partial(stream, recipe.study, seed=recipe.seed, block=recipe.block, threads=recipe.threads)
     about = {"seed": recipe.seed, "confidence": confidence, "settings": recipe.settings}
     effort = _effort(folder, evidence.runs)
-    return evidence.conclude(solve, effort, **about, is_anytime=is_anytime, decision=decision)
+    return evidence.conclude(recipe.stream, effort, **about, is_anytime=is_anytime, decision=decision)
 
 
 def work_shard(
@@ -262,9 +258,9 @@ class Blocks:
 
 
 def _require_equal(there: Runs, now: Runs, blocks: Blocks) -> None:
-    tolerance = _AGREEMENT * float(blocks.recipe.settings.rtol)
-    for column in (*there.names, "peak_ratio"):
-        is_same = column in now and np.allclose(there[column], now[column], rtol=tolerance, atol=1e-9, equal_nan=True)
+    tolerances = {**dict.fromkeys(there.names, _DRAWN), "peak_ratio": _AGREEMENT * float(blocks.recipe.settings.rtol)}
+    for column, rtol in tolerances.items():
+        is_same = column in now and np.allclose(there[column], now[column], rtol=rtol, atol=_DRAWN, equal_nan=True)
         require(
             bool(is_same),
             f"Folder `{blocks.folder.path}` has other rows than the study gives now: column `{column}` differs. Did a "

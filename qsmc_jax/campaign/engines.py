@@ -4,8 +4,9 @@ import abc
 import collections
 import dataclasses
 import functools as ft
+import threading
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import Any
 
 from qsmc_jax.base.checks import require
@@ -57,14 +58,24 @@ class Threads(AbstractEngine):
 
     def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
         before: tuple[Task, Future[list[Solved]]] | None = None
+        closed = threading.Event()
+
+        def go_on(done: int, total: int) -> None:
+            """Ends a solve that nobody waits for any more, between two of its pieces."""
+            if closed.is_set():
+                raise CancelledError
+
         with ThreadPoolExecutor(1) as pool:
-            for task in tasks:
-                solving = pool.submit(lambda missing: [recipe.solve(runs) for runs in missing], task.missing)
+            try:
+                for task in tasks:
+                    solving = pool.submit(lambda missing: [recipe.solve(runs, go_on) for runs in missing], task.missing)
+                    if before is not None:
+                        yield before[0], before[1].result()
+                    before = task, solving
                 if before is not None:
                     yield before[0], before[1].result()
-                before = task, solving
-            if before is not None:
-                yield before[0], before[1].result()
+            finally:
+                closed.set()
 
 
 @dataclasses.dataclass
@@ -89,9 +100,14 @@ class Dask(AbstractEngine):
     def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
         from distributed import as_completed
 
-        names = [spec.name for spec in recipe.study.specs]
-        values = {name: recipe.study.values[name] for name in names if name in recipe.study.values}
-        order = _Order(recipe.source, values, recipe.seed, recipe.settings, recipe.block, recipe.threads)
+        # A worker's own threads take a task each: one thread a task, unless more are asked for.
+        options = {
+            "seed": recipe.seed,
+            "settings": recipe.settings,
+            "block": recipe.block,
+            "threads": recipe.threads or 1,
+        }
+        work = ft.partial(_solve, recipe.source, dict(recipe.study.values), options)
         held: dict[Any, Task] = {}
         done: collections.deque[tuple[Task, list[Solved]]] = collections.deque()
         arriving = as_completed()
@@ -101,7 +117,7 @@ class Dask(AbstractEngine):
                     if not task.missing:
                         done.append((task, []))
                     else:
-                        future = self.client.submit(_solve, order, task.missing, pure=False, retries=self.retries)
+                        future = self.client.submit(work, task.missing, pure=False, retries=self.retries)
                         held[future] = task
                         arriving.add(future)
                     if len(held) >= self._ahead():
@@ -122,22 +138,9 @@ class Dask(AbstractEngine):
         return 2 * max(threads, 1)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Order:
-    """A recipe that can be sent: the study as text, to be run by the worker."""
-
-    source: str
-    values: dict[str, Any]
-    seed: int
-    settings: Any
-    block: int
-    threads: int | None
-
-
-def _solve(order: _Order, missing: tuple[range, ...]) -> list[Solved]:
-    """What a worker does."""
-    study = _study(order.source).substitute(**order.values)
-    recipe = Recipe(study, order.source, order.seed, order.settings, order.block, order.threads)
+def _solve(source: str, values: dict[str, Any], options: dict[str, Any], missing: tuple[range, ...]) -> list[Solved]:
+    """What a worker does: the study comes as text, to be run here."""
+    recipe = Recipe(_study(source).substitute(**values), source, **options)
     return [recipe.solve(runs) for runs in missing]
 
 

@@ -70,10 +70,12 @@ class RunFolder:
             (path / "blocks").mkdir()
             (path / "sessions").mkdir()
         except OSError as error:
-            require(False, f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}.")
+            message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
+            raise ValueError(message) from None
         folder = cls(path)
         write_whole(path / "study.py", recipe.source.encode())
-        folder._write_manifest(
+        folder.write_json(
+            "manifest.json",
             {
                 "schema": SCHEMA,
                 "fingerprint": fingerprint(recipe.identity),
@@ -84,7 +86,7 @@ class RunFolder:
                 "asked_for": [],
                 "is_anytime": False,
                 "provenance": dict(provenance),
-            }
+            },
         )
         return folder
 
@@ -156,7 +158,7 @@ class RunFolder:
             "is_anytime": manifest["is_anytime"] or is_anytime or asked_for not in ([], [runs]),
         }
         if changed != manifest:
-            self._write_manifest(changed)
+            self.write_json("manifest.json", changed)
         return changed["is_anytime"]
 
     def sound_files(self, start: int, stop: int) -> list[BlockFile]:
@@ -250,9 +252,6 @@ class RunFolder:
         """
         write_whole(self.path / name, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
-    def _write_manifest(self, content: Mapping[str, Any]) -> None:
-        self.write_json("manifest.json", content)
-
     def _put_aside(self, file: BlockFile) -> None:
         aside = self.path / "damaged"
         warnings.warn(f"File `{file.path}` is damaged: moved to `{aside}`, its runs are solved again.", stacklevel=4)
@@ -262,7 +261,8 @@ class RunFolder:
         except FileNotFoundError:
             pass  # another worker was quicker
         except OSError as error:
-            require(False, f"File `{file.path}` is damaged and can't be moved to `{aside}`: {error.strerror}.")
+            message = f"File `{file.path}` is damaged and can't be moved to `{aside}`: {error.strerror}."
+            raise ValueError(message) from None
 
 
 @dataclasses.dataclass

@@ -6,12 +6,13 @@ import functools as ft
 import hashlib
 import json
 import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import Lanes
-from qsmc_jax.study.monte_carlo import BLOCK, stream
+from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import Random
 from qsmc_jax.study.schedule import Workload
@@ -78,17 +79,22 @@ class Recipe:
         lanes.compile_nominal()
         return Planner(lanes, self.seed, Random())
 
-    def solve(self, runs: range) -> "Solved":
+    @property
+    def stream(self) -> Callable[..., Iterator[Runs]]:
+        """`stream` of the study, to be called with indices and `settings`."""
+        return ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
+
+    def solve(self, runs: range, progress: Progress | None = None) -> "Solved":
         """Solves and decides consecutive runs; not by two threads at once.
 
         Args:
             runs: Their indices.
+            progress: Called as `progress(done, len(runs))` after each piece of the first solve.
         """
         planner, workload, begin = self.planner, Workload(), time.perf_counter()
-        solve = ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
-        ladder = Ladder(solve, self.settings, self.block)
-        first = solve(runs, settings=self.settings, workload=workload, planner=planner)
-        tables = list(through(ladder, first))
+        ladder = Ladder(self.stream, self.settings, self.block)
+        options = {"settings": self.settings, "workload": workload, "planner": planner, "progress": progress}
+        tables = list(through(ladder, self.stream(runs, **options)))
         table = concatenate(tables)
         rows = table.take(table["index"].argsort())
         seconds = time.perf_counter() - begin

@@ -10,9 +10,9 @@ from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.trajectory import Trajectory
-from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.runs import Runs
 from qsmc_jax.verification.ladder import firmer, stiff
-from qsmc_jax.verification.summary import worst_first
+from qsmc_jax.verification.summary import worst_of
 
 # By how much the peak may differ from the recorded one, in units of the relative tolerance: another program rounds
 # otherwise, and takes other steps.
@@ -92,7 +92,6 @@ def _worst(folder: RunFolder, rank: int) -> dict[str, Any]:
     require(rank >= 1, f"Argument `--worst` must be at least 1, but is {rank}.")
     kept: list[Runs] = []
     for table in folder.tables():
-        candidates = concatenate([*kept, table])
-        kept = [candidates.take(worst_first(candidates)[:rank])]
+        kept = [worst_of([*kept, table], rank)]
     require(bool(kept) and len(kept[0]) >= rank, f"Argument `--worst` is {rank}, but `{folder.path}` has fewer rows.")
     return kept[0].row(rank - 1)

@@ -73,7 +73,8 @@ def status_of(folder: RunFolder) -> Status:
     """
     manifest, files = folder.manifest, block_files(folder.path / "blocks")
     asked_for = max(manifest["asked_for"], default=0)
-    sound = [file for file in files if file.is_sound]
+    checked = [(file, file.is_sound) for file in files]
+    sound = [file for file, is_sound in checked if is_sound]
     has_summary = (folder.path / "summary.json").is_file()
     return Status(
         place=str(folder.path),
@@ -81,7 +82,7 @@ def status_of(folder: RunFolder) -> Status:
         fingerprint=manifest["fingerprint"],
         solved=asked_for - sum(map(len, gaps(sound, 0, asked_for))),
         asked_for=asked_for,
-        damaged=tuple(file.path.name for file in files if file not in sound),
+        damaged=tuple(file.path.name for file, is_sound in checked if not is_sound),
         sessions=tuple(folder.sessions()),
         verdict=folder.read_json("summary.json")["verdict"] if has_summary else None,
     )

@@ -56,28 +56,32 @@ def verify_study(
     """
     with session(cache):
         from qsmc_jax import SolverSettings
+        from qsmc_jax.campaign.campaign import prepare as prepare_folder
+        from qsmc_jax.report.provenance import provenance
 
         settings = SolverSettings(rtol=rtol, max_steps=max_steps)
         rule = _rule(until_below, until_width, sprt)
         recipe = recipe_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
         if out is None and (fresh or prepare or scheduler or workers):
             raise ValueError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
+        origin = provenance(study_file, sys.argv)
         again = "".join(f" -S {shlex.quote(override)}" for override in overrides or [])
         if out is None:
             command = f"qsmc simulate {shlex.quote(str(study_file))} --seed {seed}{again} --index"
             result = _at_once(recipe, runs, confidence, worst, rule, as_json)
-            _tell(result, command, None, as_json)
+            _tell(result, command, None, origin, as_json)
         else:
-            folder = _folder(_beside(out) if fresh else out, recipe, study_file, file_runs)
+            place, about = _beside(out) if fresh else out, {"file_runs": file_runs, "provenance": origin}
+            folder = prepare_folder(place, recipe, study_file=str(study_file), **about)
             command = f"qsmc show {shlex.quote(str(folder.path))} --run"
             if prepare:
                 folder.ask_for(runs, rule is not None)
                 say(f"Prepared {folder.path} for {runs} runs. Now: qsmc worker {folder.path} --shard 0/4, 1/4, ...")
                 raise typer.Exit(0)
             with _engine(scheduler, workers) as engine:
-                campaign = _Campaign(folder, recipe, study_file, runs, confidence, worst, rule, engine)
+                campaign = _Campaign(folder, recipe, origin, runs, confidence, worst, rule, engine)
                 result = campaign.run(as_json)
-            _tell(result, command, folder.path, as_json)
+            _tell(result, command, folder.path, origin, as_json)
     raise typer.Exit(EXIT_CODES.get(result.verdict.name, UNDECIDED))
 
 
@@ -87,7 +91,7 @@ class _Campaign:
 
     folder: "RunFolder"
     recipe: "Recipe"
-    study_file: Path
+    origin: dict[str, Any]
     runs: int
     confidence: float
     worst: int
@@ -98,9 +102,7 @@ class _Campaign:
         """Solves what is missing, and writes summary, pictures and report; ends the program if it is interrupted."""
         from qsmc_jax.campaign.campaign import run_campaign
         from qsmc_jax.report.campaign_report import write_report
-        from qsmc_jax.report.provenance import provenance
 
-        origin = provenance(self.study_file, sys.argv)
         with progress_bar("solving", quiet=as_json) as progress, finishing() as should_stop:
             result = run_campaign(
                 self.folder,
@@ -112,13 +114,13 @@ class _Campaign:
                 engine=self.engine,
                 progress=progress,
                 should_stop=should_stop,
-                provenance=origin,
+                provenance=self.origin,
             )
         if result is None:
             say(f"Interrupted: what is solved is kept in {self.folder.path}. The same command goes on.", is_error=True)
             raise typer.Exit(UNDECIDED)
         with waiting("writing the report", quiet=as_json):
-            write_report(self.folder, result, origin)
+            write_report(self.folder, result, self.origin)
         return result
 
 
@@ -149,14 +151,6 @@ def _rule(below: float | None, width: float | None, sprt: str | None) -> "Abstra
     except ValueError:
         raise ValueError(f"Argument `--sprt` must be P0,P1 such as 2e-3,1e-3, but is `{sprt}`.") from None
     return SequentialTest(probability, alternative)
-
-
-def _folder(path: Path, recipe: "Recipe", study_file: Path, file_runs: int) -> "RunFolder":
-    from qsmc_jax.campaign.campaign import prepare
-    from qsmc_jax.report.provenance import provenance
-
-    origin = provenance(study_file, sys.argv)
-    return prepare(path, recipe, study_file=str(study_file), file_runs=file_runs, provenance=origin)
 
 
 def _beside(path: Path) -> Path:
@@ -196,11 +190,11 @@ def _engine(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         yield Dask(client)
 
 
-def _tell(result: "Verification", again: str, out: Path | None, as_json: bool) -> None:
+def _tell(result: "Verification", again: str, out: Path | None, origin: dict[str, Any], as_json: bool) -> None:
     from qsmc_jax.report.folder import to_json
 
     if as_json:
-        say(to_json(result.summary()))
+        say(to_json({**result.summary(), "provenance": origin}))
         return
     error = result.numerical_error
     speed = f"{result.runs / result.solve_seconds:.0f} runs/s, " if result.solve_seconds else ""

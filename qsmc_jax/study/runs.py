@@ -91,9 +91,9 @@ class Runs:
         widths = {name: max(len(name), 10) for name in shown if name in self.columns}
         lines = ["  ".join(name.rjust(width) for name, width in widths.items())]
         for i in range(min(len(self), _SHOWN)):
-            row = (
-                {**self.row(i), "verdict": Verdict(self.row(i)["verdict"]).name} if "verdict" in widths else self.row(i)
-            )
+            row = self.row(i)
+            if "verdict" in row:
+                row["verdict"] = Verdict(row["verdict"]).name
             cells = (f"{row[name]:.5g}" if isinstance(row[name], float) else str(row[name]) for name in widths)
             lines.append("  ".join(cell.rjust(width) for cell, width in zip(cells, widths.values(), strict=True)))
         return as_html("\n".join([str(self), *lines, *(["..."] if len(self) > _SHOWN else [])]))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.stats import qmc
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_fraction
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
 from qsmc_jax.study.study import Study
@@ -149,10 +149,15 @@ class Claim:
 
     def __post_init__(self):
         for name in ("risk", "confidence"):
-            value = getattr(self, name)
-            require(0.0 < value < 1.0, f"Argument `{name}` must lie strictly between 0 and 1, but is {value}.")
+            require_fraction(name, getattr(self, name))
         require(self.designs >= 1, f"Argument `designs` must be at least 1, but is {self.designs}.")
         require(self.runs >= 0, f"Argument `certificate_runs` must not be negative, but is {self.runs}.")
+
+
+def _has_maximum(batch: Batch) -> bool:
+    """Whether anything is there to be smoothed."""
+    parts = [batch.objective, *(constraint.objective for constraint in batch.constraints)]
+    return any(term.statistic in ("worst", "least") for part in parts for term in part.terms)
 
 
 class _Infeasible(ValueError):
@@ -206,10 +211,11 @@ def _candidates(batch: Batch, search: Search) -> list[Evaluation]:
     order = sorted(range(search.starts), key=lambda i: tried[i].merit)
     first, others = order[: search.descents], order[search.descents :]
     found = [_descended(batch, search, points[i], tried[i], i, _EXACT) for i in first]
+    widths = _ANNEALED if _has_maximum(batch) else _EXACT
     for i in others:
         if any(each.is_feasible for each in found):
             break
-        found.append(_descended(batch, search, points[i], tried[i], i, _ANNEALED))
+        found.append(_descended(batch, search, points[i], tried[i], i, widths))
     found.sort(key=lambda each: each.merit)
     feasible = [each for each in found if each.is_feasible]
     if not feasible:

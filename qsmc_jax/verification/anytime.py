@@ -9,7 +9,7 @@ import math
 import numpy as np
 from scipy import optimize, special
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_fraction
 
 # Weight of the atom at p = 0, and the Beta(a, b) distribution of the rest, in the mixture.
 _ATOM, _A, _B = 0.5, 0.5, 0.5
@@ -45,7 +45,7 @@ def confidence_sequence(violated: int, undecided: int, total: int, confidence: f
 
     Source: Robbins, Ann. Math. Stat. 41 (1970); Howard, Ramdas, McAuliffe and Sekhon, Ann. Stat. 49 (2021).
     """
-    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
+    require_fraction("confidence", confidence)
     worst = violated + undecided
     require(
         min(violated, undecided) >= 0 and worst <= total,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_fraction
 from qsmc_jax.base.notebook import as_html
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
@@ -225,7 +225,7 @@ def compare(
         [('right', 0, 0.08), ('wrong', 64, 1.0)]
     """
     require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
-    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
+    require_fraction("confidence", confidence)
     _require_same_names(studies)
     settings, tables = settings or SolverSettings(), {}
     for number, (name, study) in enumerate(studies.items()):

@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_fraction
 from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
@@ -129,8 +129,8 @@ def plan_tests(below: float, confidence: float, steps: int, budget: int | None) 
     Raises:
         ValueError: A probability is not strictly between 0 and 1, or the budget is too small to show anything.
     """
-    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
-    require(0.0 < below < 1.0, f"Argument `below` must lie strictly between 0 and 1, but is {below}.")
+    require_fraction("confidence", confidence)
+    require_fraction("below", below)
     tests = steps + 2
     each = each_of(tests * len(_LOOKS), confidence)
     fewest = runs_needed(below, each)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from qsmc_jax.base.checks import require, require_fraction
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
@@ -107,6 +108,13 @@ class Evidence:
             is_anytime=is_anytime,
             decision=decision,
         )
+
+
+def check_request(runs: int, confidence: float, worst: int) -> None:
+    """Raises unless so many runs can be made, and reported so."""
+    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+    require_fraction("confidence", confidence)
+    require(worst >= 1, f"Argument `worst` must be at least 1, but is {worst}.")
 
 
 def _claim(

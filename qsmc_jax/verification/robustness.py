@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from qsmc_jax.base.checks import require, require_finite
+from qsmc_jax.base.checks import require, require_finite, require_fraction
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
@@ -232,7 +232,7 @@ def robustness_map(
         ([0, 64], [0.07, 1.0])
     """
     require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
-    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
+    require_fraction("confidence", confidence)
     require(1 <= len(over) <= 2, f"Argument `over` must have one or two names, but has {len(over)}.")
     names, grids = tuple(over), tuple(_grid(study, name, values) for name, values in over.items())
     cells = [study.substitute(**dict(zip(names, values, strict=True))) for values in it.product(*grids)]

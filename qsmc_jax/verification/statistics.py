@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy import special
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_fraction
 
 Count: TypeAlias = int | np.integer
 
@@ -35,7 +35,7 @@ def clopper_pearson(violated: Count, undecided: Count, total: Count, confidence:
     Source: Clopper and Pearson, Biometrika 26 (1934); worst case over the undecided as in Horowitz and Manski, J. Am.
         Stat. Assoc. 95 (2000).
     """
-    _require_fraction("confidence", confidence)
+    require_fraction("confidence", confidence)
     violated, undecided, total = int(violated), int(undecided), int(total)
     for name, count in {"violated": violated, "undecided": undecided, "total": total}.items():
         require(count >= 0, f"Argument `{name}` must not be negative, but is {count}.")
@@ -71,8 +71,8 @@ def runs_needed(probability: float, confidence: float, violations: Count = 0) ->
         >>> qj.runs_needed(1e-3, 0.95), qj.runs_needed(1e-3, 0.90)
         (3688, 2995)
     """
-    _require_fraction("probability", probability)
-    _require_fraction("confidence", confidence)
+    require_fraction("probability", probability)
+    require_fraction("confidence", confidence)
     require(bool(violations >= 0), f"Argument `violations` must not be negative, but is {violations}.")
     too_few, enough = int(violations), int(violations) + 1
     while clopper_pearson(violations, 0, enough, confidence)[1] > probability:
@@ -101,7 +101,7 @@ def zero_failure_bound(total: Count, confidence: float) -> float:
         The bound on the violation probability.
     """
     _require_runs(total)
-    _require_fraction("confidence", confidence)
+    require_fraction("confidence", confidence)
     return float(-np.expm1(np.log((1.0 - confidence) / 2.0) / total))
 
 
@@ -123,7 +123,7 @@ def worst_case_coverage(total: Count, confidence: float, rank: Count = 1) -> flo
     Source: Tempo, Bai and Dabbene, Syst. Control Lett. 30 (1997); ranks: Wilks, Ann. Math. Stat. 12 (1941).
     """
     _require_runs(total)
-    _require_fraction("confidence", confidence)
+    require_fraction("confidence", confidence)
     require(bool(1 <= rank <= total), f"Argument `rank` must be in [1, {total}], but is {rank}.")
     return float(special.betainccinv(rank, total - rank + 1, 1.0 - confidence))
 
@@ -143,13 +143,8 @@ def cdf_band(total: Count, confidence: float) -> float:
     Source: Dvoretzky, Kiefer and Wolfowitz (1956), constant by Massart, Ann. Probab. 18 (1990).
     """
     _require_runs(total)
-    _require_fraction("confidence", confidence)
+    require_fraction("confidence", confidence)
     return float(np.sqrt(np.log(2.0 / (1.0 - confidence)) / (2.0 * total)))
-
-
-def _require_fraction(name: str, value: float) -> None:
-    """Raises unless the value is strictly between 0 and 1."""
-    require(bool(0.0 < value < 1.0), f"Argument `{name}` must lie strictly between 0 and 1, but is {value}.")
 
 
 def _require_runs(total: Count) -> None:

@@ -1,6 +1,7 @@
 """What verification keeps of a stream of runs: counts, the worst runs, histograms, however many runs there are."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -77,11 +78,13 @@ class Summary:
         self.steps += int(table["steps"].sum())
         held = table["peak_u"][table["verdict"] == Verdict.HELD]
         self.peak_u = max(self.peak_u, held.max(initial=0.0))
-        self._keep_worst(table)
+        self.worst = [worst_of([*self.worst, table], self._keep)]
 
-    def _keep_worst(self, table: Runs) -> None:
-        candidates = concatenate([*self.worst, table])
-        self.worst = [candidates.take(worst_first(candidates)[: self._keep])]
+
+def worst_of(tables: Sequence[Runs], count: int) -> Runs:
+    """The worst rows of some tables, so many at most, the worst first."""
+    candidates = concatenate(tables)
+    return candidates.take(worst_first(candidates)[:count])
 
 
 def worst_first(table: Runs) -> np.ndarray:

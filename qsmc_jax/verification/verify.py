@@ -13,7 +13,7 @@ from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.decided import part_of, through
-from qsmc_jax.verification.evidence import Effort, Evidence
+from qsmc_jax.verification.evidence import Effort, Evidence, check_request
 from qsmc_jax.verification.ladder import Ladder
 from qsmc_jax.verification.result import Verification
 from qsmc_jax.verification.stopping import AbstractRule, decision_of
@@ -74,9 +74,7 @@ def verify(
         >>> print(qj.verify(study, runs=64, block=64).conclusion())
         HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
-    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
-    require(0.0 < confidence < 1.0, f"Argument `confidence` must lie strictly between 0 and 1, but is {confidence}.")
-    require(worst >= 1, f"Argument `worst` must be at least 1, but is {worst}.")
+    check_request(runs, confidence, worst)
     settings, sampling = settings or SolverSettings(), sampling or Random()
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
