@@ -12,9 +12,9 @@ HERE = Path(__file__).parent
 STUDIES = HERE.parent / "studies"
 
 
-def save(name: str, figure: Any) -> None:
-    """Writes a small PNG beside this file."""
-    figure.savefig(HERE / name, dpi=70)
+def save(name: str, axes: Any) -> None:
+    """Writes the figure of the axes as a small PNG beside this file."""
+    axes[0].figure.savefig(HERE / name, dpi=70)
 
 
 def main() -> None:

@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -20,13 +25,11 @@
 # together quickly.
 
 # %%
-# %matplotlib inline
 import os
 
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from IPython.display import display
 from scipy.integrate import solve_ivp
 
 import qsmc_jax as qj
@@ -75,10 +78,11 @@ print(run)
 # Three claims are judged: the *funnel* is kept, the bandwidth is *reached* in time, and the *tracking* error ends in
 # its bound.
 #
-# The four pictures of the paper: output, error, input, and the sliding variable in its funnel.
+# The four pictures of the paper: output, error, input, and the sliding variable in its funnel. Every picture gives back
+# its axes, and can be drawn in axes of yours: `run.plot_funnel(ax=ax)`.
 
 # %%
-run.plot()
+axes = run.plot()
 
 # %% [markdown]
 # Figure 1 of the paper is the plane of $e$ and $\dot e$. The funnel's edges $\sigma = \pm\rho(t)$ are two parallel
@@ -86,7 +90,7 @@ run.plot()
 # middle.
 
 # %%
-run.plot_phase_plane()
+ax = run.plot_phase_plane()
 
 # %% [markdown]
 # The paper starts from four points. All stay in the funnel, with different margins.
@@ -111,13 +115,13 @@ def picture(mu=3.0, rho_inf=0.05, c=2.0, start=0.9):
     changed = qj.ClosedLoop(plant, reference, disturbance, law)
     tried = qj.simulate(changed, x0=[start, start], t1=10.0, bandwidth=0.1)
     print(tried.verdict.name, "-", tried.outcome.advice)
-    return tried.plot()
+    tried.plot()
 
 
 try:
     import ipywidgets
 except ImportError:
-    display(picture())
+    picture()
 else:
     ipywidgets.interact(
         picture,

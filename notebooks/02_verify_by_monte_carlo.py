@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -15,7 +20,6 @@
 # disturbances and plants that may come? Ask many runs, and say how sure the answer is.
 
 # %%
-# %matplotlib inline
 import inspect
 import os
 import shutil
@@ -76,7 +80,7 @@ print(result)
 # as held in its lower one.
 
 # %%
-result.plot()
+axes = result.plot()
 
 # %% [markdown]
 # How many runs does it take to show a probability below $p$, if nothing is violated?
@@ -104,7 +108,7 @@ for i in range(len(worst)):
 # %%
 again = study.replay(int(worst["index"][0]), seed=0)
 print(again)
-again.plot()
+axes = again.plot()
 
 # %% [markdown]
 # `monte_carlo` gives the table itself: NumPy columns, one row a run. What makes a run bad?

@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -15,7 +20,6 @@
 # the mistakes that one makes.
 
 # %%
-# %matplotlib inline
 import os
 from typing import ClassVar
 
@@ -81,7 +85,7 @@ run = qj.simulate(loop, x0=[0.4, 0.0], t1=15.0, bandwidth=0.1)
 print(run)
 
 # %%
-run.plot()
+axes = run.plot()
 
 # %% [markdown]
 # ## The study
@@ -103,7 +107,7 @@ result = qj.verify(study, runs=256 if small else 2000)
 print(result)
 
 # %%
-result.plot()
+axes = result.plot()
 
 # %% [markdown]
 # That is all. In a file, these cells are a study for `qsmc verify`.

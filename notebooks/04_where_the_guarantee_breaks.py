@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -15,7 +20,6 @@
 # late, saturates, and measures with noise. How much of that does the guarantee survive?
 
 # %%
-# %matplotlib inline
 import os
 
 import matplotlib.pyplot as plt
@@ -56,7 +60,7 @@ def scenario(draw):
 study = qj.Study(scenario, bandwidth=0.1)
 run = study.replay(3)
 print(run)
-run.plot()
+axes = run.plot()
 
 # %% [markdown]
 # Figures are added: `sup (|sigma| - rho)` is how far outside the run got, and the last line is what "chattering-free"
@@ -68,7 +72,7 @@ run.plot()
 # %%
 slow = study.substitute(sample_period=0.1).replay(3)
 print(slow)
-slow.plot()
+axes = slow.plot()
 
 # %% [markdown]
 # ## A map
@@ -84,7 +88,7 @@ slow.plot()
 periods = np.geomspace(5e-3, 0.3, 5 if small else 16)
 period_map = qj.robustness_map(study, over={"sample_period": periods}, runs=runs)
 print(period_map)
-period_map.plot()
+axes = period_map.plot()
 
 # %% [markdown]
 # How low may the limit on the input be?
@@ -93,7 +97,7 @@ period_map.plot()
 limits = np.geomspace(0.3, 20.0, 4 if small else 12)
 saturation_map = qj.robustness_map(study, over={"saturation": limits}, runs=runs)
 print(saturation_map)
-saturation_map.plot()
+axes = saturation_map.plot()
 
 # %% [markdown]
 # Two names make a picture: `.` no violation, `+` some, `#` half or more.
@@ -103,7 +107,7 @@ count = 3 if small else 8
 both = {"delay": np.geomspace(2e-3, 0.08, count), "noise": np.geomspace(3e-3, 0.3, count)}
 two = qj.robustness_map(study, over=both, runs=runs)
 print(two)
-two.plot()
+axes = two.plot()
 
 # %% [markdown]
 # ## What theory says
@@ -145,7 +149,7 @@ plt.show()
 below, steps = (0.1, 3) if small else (0.02, 8)
 critical = qj.critical_value(study, "sample_period", below, between=(2e-3, 0.3), steps=steps)
 print(critical)
-critical.plot()
+ax = critical.plot()
 
 # %% [markdown]
 # ## Rivals
@@ -186,7 +190,7 @@ comparison = qj.compare({name: under(laws[name]) for name in chosen}, runs=runs,
 print(comparison)
 
 # %%
-comparison.plot()
+axes = comparison.plot()
 
 # %% [markdown]
 # All of them keep the funnel. The difference is in the last figure: the sign law pays for it with an input that never

@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -15,7 +20,6 @@
 # comes out is then certified on runs that had no say in it.
 
 # %%
-# %matplotlib inline
 import os
 
 import matplotlib.pyplot as plt
@@ -83,7 +87,7 @@ print(tuned)
 # derivatives say which gain matters for what: by how many percent a figure changes if a gain grows by one percent.
 
 # %%
-tuned.plot()
+axes = tuned.plot()
 
 # %% [markdown]
 # ## Before and after
@@ -126,14 +130,14 @@ landscape = qj.landscape(
     runs=16 if small else 64,
     mark={"paper": {"mu": 3.0, "rho_inf": 0.05}, "tuned": tuned.gains},
 )
-landscape.plot(tuned.history)
+ax = landscape.plot(tuned.history)
 
 # %% [markdown]
 # A quiet input and a small error are not to be had together. The efficient gains, which no others beat in both, are
 # joined.
 
 # %%
-landscape.plot_pareto()
+ax = landscape.plot_pareto()
 
 # %% [markdown]
 # ## Why training numbers are no guarantee

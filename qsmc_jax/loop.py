@@ -1,13 +1,14 @@
 """The closed loop as pure functions: plant, reference, disturbance and control, at one instant."""
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.module import AbstractModule, require_parts
+from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.law import QuasiSlidingControl
@@ -77,6 +78,8 @@ class ClosedLoop(AbstractModule):
     Source: paper, eqs. (1), (2), (4).
     """
 
+    remedy: ClassVar[str] = "Make one: `qj.ClosedLoop(plant, reference, disturbance, control)`."
+
     plant: AbstractPlant
     reference: AbstractReference
     disturbance: AbstractDisturbance
@@ -84,6 +87,7 @@ class ClosedLoop(AbstractModule):
     implementation: Implementation | None = None
 
     def __check_init__(self):
+        require_parts(self)
         order, has = self.plant.order, self.control.surface.order
         require(
             order == has,
@@ -92,6 +96,7 @@ class ClosedLoop(AbstractModule):
         )
         for method in ("drift", "gain"):
             _require_scalar(self.plant, method)
+        _require_signals(self.reference, self.disturbance, order)
         require(
             self.implementation is not None or isinstance(self.control, QuasiSlidingControl),
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: without one, only the "
@@ -206,14 +211,44 @@ class ClosedLoop(AbstractModule):
 
 
 def _require_scalar(plant: AbstractPlant, method: str) -> None:
-    """Raises unless a method of the plant returns one number for a state of its order."""
+    """Raises unless a method of the plant takes a time and a state of its order, and returns one number."""
+    name, order = f"`{method}` of `{type(plant).__name__}`", plant.order
     number = jax.ShapeDtypeStruct((), float)
-    with jax.enable_x64(True):
-        result = jax.eval_shape(getattr(plant, method), number, (number,) * plant.order)
-    shape = getattr(result, "shape", None)
-    found = type(result).__name__ if shape is None else f"shape {shape}"
+    try:
+        with jax.enable_x64(True), traceable(name, "the state"):
+            result = jax.eval_shape(getattr(plant, method), number, (number,) * order)
+    except (IndexError, TypeError) as error:
+        raise ValueError(
+            f"{name} must take `self`, a time and a state of {order} numbers, x[0] ... x[{order - 1}], but calling it "
+            f"says: {error}."
+        ) from error
     require(
-        shape == (),
-        f"`{method}` of `{type(plant).__name__}` must return one number, but returns {found}. "
-        f"Index the state: x[0] ... x[{plant.order - 1}].",
+        _is_number(result),
+        f"{name} must return one number, but returns {_described(result)}. Index the state: x[0] ... x[{order - 1}].",
     )
+
+
+def _require_signals(reference: AbstractReference, disturbance: AbstractDisturbance, order: int) -> None:
+    """Raises unless the disturbance is one number at a time, and the reference has its derivatives up to the order."""
+    time = jax.ShapeDtypeStruct((), float)
+    name = f"`{type(disturbance).__name__}`, the disturbance,"
+    with jax.enable_x64(True), traceable(name, "the time"):
+        result = jax.eval_shape(disturbance, time)
+    require(_is_number(result), f"{name} must return one number at a time, but returns {_described(result)}.")
+    name = f"`derivatives` of `{type(reference).__name__}`"
+    with jax.enable_x64(True), traceable(name, "the time"):
+        result = jax.eval_shape(lambda t: reference.derivatives(t, order), time)
+    require(
+        isinstance(result, tuple) and len(result) == order + 1 and all(map(_is_number, result)),
+        f"{name} must return {order + 1} numbers for order {order}, but returns {_described(result)}.",
+    )
+
+
+def _is_number(result: Any) -> bool:
+    return getattr(result, "shape", None) == ()
+
+
+def _described(result: Any) -> str:
+    if isinstance(result, tuple | list):
+        return f"{len(result)} of them: {', '.join(map(_described, result))}"
+    return f"shape {result.shape}" if hasattr(result, "shape") else type(result).__name__

@@ -103,7 +103,7 @@ def test_a_box_is_that_of_the_bounds_whatever_is_substituted(study):
     [
         ((), "must name at least one parameter"),
         (("mu", "slope", "mu"), "must name each once"),
-        (("mu", "slop"), "There is no name `slop` in this study; did you mean `slope`"),
+        (("mu", "slop"), "There is no name `slop` in this study. Did you mean `slope`"),
         (("mass",), "must name parameters, but `mass` is a uniform of shape ()"),
         (("mu", "x0"), "must name parameters, but `x0` is a uniform of shape (2,)"),
         (("frequency",), "Parameter `frequency` must have finite bounds that depend on no other name"),

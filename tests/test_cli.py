@@ -189,7 +189,7 @@ ARGUMENTS = {
     "runs": ([STUDY, "--runs", "0"], "`runs` must be at least 1"),
     "confidence": ([STUDY, "--confidence", "1"], "`confidence` must lie strictly between 0 and 1"),
     "seed": ([STUDY, "--seed", "-1"], "`seed` must be in [0, 2**63)"),
-    "unknown name": ([STUDY, "-S", "muu=1"], "did you mean `mu`?"),
+    "unknown name": ([STUDY, "-S", "muu=1"], "Did you mean `mu`?"),
     "outside bounds": ([STUDY, "-S", "mu=100"], "`mu` must lie in [0.5, 4], but is 100"),
     "not a number": ([STUDY, "-S", "mu=fast"], "must be name=value with a number"),
     "rtol": ([STUDY, "--rtol", "-1"], "`rtol` must be positive"),

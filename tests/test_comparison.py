@@ -10,6 +10,7 @@ import scipy.stats
 import qsmc_jax as qj
 from qsmc_jax.verification.comparison import METRICS
 from tests.coin_study import scenario, studies, study
+from tests.drawing import draws_in_given_axes
 from tests.studies_for_tests import study as other
 
 RUNS, BLOCK = 128, 128
@@ -102,7 +103,9 @@ def test_the_summary_holds_every_study(found):
 
 
 def test_the_picture_has_a_panel_a_figure_and_a_line_a_study(found):
-    panels = [ax for ax in found.plot().axes if ax.get_visible()]
+    panels = draws_in_given_axes(found.plot, 1 + len(IDEAL))
+    assert panels[1].get_yticklabels()[0].get_text() == next(iter(studies))  # which in a new figure it shares
+    panels = found.plot()
     assert len(panels) == 1 + len(IDEAL)
     assert [text.get_text() for text in panels[0].get_yticklabels()] == list(studies)
     assert all(len(ax.containers) == 3 for ax in panels if not ax.texts)

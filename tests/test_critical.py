@@ -13,6 +13,7 @@ import qsmc_jax as qj
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.verification.critical import plan_tests, search
 from tests.coin_study import study
+from tests.drawing import draws_in_given_axes
 from tests.studies_for_tests import Integrator
 
 BLOCK = 128
@@ -147,7 +148,7 @@ def test_both_ends_safe_with_a_side_gives_the_far_end():
 
 
 def test_the_picture_has_every_test(found):
-    ax = found.plot().axes[0]
+    ax = draws_in_given_axes(found.plot)
     assert sum(len(container.lines[0].get_xdata()) for container in ax.containers) == len(found.tests)
 
 
@@ -167,7 +168,7 @@ def test_progress_counts_every_run_that_may_be_needed():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"name": "pp"}, "There is no name `pp`.*did you mean `p`"),
+        ({"name": "pp"}, "There is no name `pp`.*Did you mean `p`"),
         ({"below": 0.0}, "`below` must lie strictly between 0 and 1, but is 0.0"),
         ({"below": 1.0}, "`below` must lie strictly between 0 and 1, but is 1.0"),
         ({"confidence": 0.0}, "`confidence` must lie strictly between 0 and 1"),

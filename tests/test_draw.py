@@ -284,13 +284,13 @@ FUNNEL = discover(
 
 
 def test_checked_values_are_float64_arrays():
-    values = check_values(FUNNEL, {"rho_inf": "0.01", "x0": [0, 1], "side": -1})
+    values = check_values(FUNNEL, {"rho_inf": np.float32(0.0625), "x0": [0, 1], "side": -1})
     assert {name: (v.dtype, v.shape) for name, v in values.items()} == {
         "rho_inf": (np.float64, ()),
         "x0": (np.float64, (2,)),
         "side": (np.float64, ()),
     }
-    assert values["rho_inf"] == 0.01
+    assert values["rho_inf"] == 0.0625
 
 
 def test_traced_values_pass_the_check():
@@ -303,10 +303,10 @@ def test_traced_values_pass_the_check():
 BAD_VALUES = {
     "unknown": (
         {"rho_in": 0.05},
-        "There is no name `rho_in` in this study; did you mean `rho_inf`\\? It has: `rho_inf`, `bias`, `x0`, `side`.",
+        "There is no name `rho_in` in this study. Did you mean `rho_inf`\\? It has: `rho_inf`, `bias`, `x0`, `side`.",
     ),
     "far from all": ({"zzz": 1.0}, "There is no name `zzz` in this study. It has: `rho_inf`"),
-    "column": ({"x0[0]": 0.5}, r"There is no name `x0\[0\]` in this study; did you mean `x0`\?"),
+    "column": ({"x0[0]": 0.5}, r"There is no name `x0\[0\]` in this study. Did you mean `x0`\?"),
     "outside": ({"rho_inf": 0.5}, r"Argument `rho_inf` must lie in \[0.005, 0.09\], but is 0.5. Choose a value inside"),
     "one entry outside": ({"x0": [0.5, 1.5]}, r"Argument `x0` must lie in \[0, 1\], but is \[0.5, 1.5\]"),
     "shape": ({"x0": 0.5}, r"`x0` must have shape \(2,\) \(as drawn in the scenario\), but has shape \(\)"),

@@ -1,4 +1,4 @@
-"""What Jupyter shows of results, and tables for pandas and xarray: the same numbers, and pictures in given axes."""
+"""What Jupyter shows of results, and tables for pandas and xarray: the same numbers."""
 
 import base64
 import re
@@ -6,7 +6,6 @@ import sys
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 import qsmc_jax as qj
 from qsmc_jax.base.notebook import as_html
@@ -73,12 +72,3 @@ def test_without_pandas_it_says_what_to_install(found, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"pip install 'qsmc_jax\[notebook\]'"):
         found[1].to_pandas()
-
-
-def test_pictures_are_drawn_in_the_axes_given(found, run):
-    figure = Figure()
-    axes = figure.subplots(1, 2)
-    assert found[0].plot_margin(axes[0]) is figure
-    assert run.plot_funnel(axes[1]) is figure
-    assert all(ax.get_xlabel() for ax in axes)
-    assert run.plot_funnel() is not figure

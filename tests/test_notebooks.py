@@ -1,6 +1,7 @@
 """The notebooks: paired and stripped, and at smoke size they run from top to bottom and show pictures."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -22,8 +23,8 @@ def cells_of(path):
     return [(cell.cell_type, cell.source) for cell in jupytext.read(path).cells]
 
 
-def code_of(path):
-    return [cell for cell in jupytext.read(path).cells if cell.cell_type == "code"]
+def code_of(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
 def executed(path, first=None):
@@ -36,19 +37,20 @@ def executed(path, first=None):
     path_of_package = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     env = {**os.environ, "QSMC_SMOKE": "1", "PYTHONPATH": path_of_package}
     resources = {"metadata": {"path": str(path.parent)}}
-    client = nbclient.NotebookClient(notebook, timeout=90, resources=resources)
-    try:
-        client.execute(env=env)
-    except nbclient.exceptions.CellTimeoutError:
-        # Seen twice in some thirty runs, in notebook 01 on a busy machine: a kernel that waits for ever. Not
-        # understood: once more, in a new one.
-        client.execute(env=env)
+    client = nbclient.NotebookClient(notebook, timeout=300, resources=resources)
+    # Widgets that capture output are not mimicked, so that it stays in the cell. To answer them, nbclient sends on the
+    # channel on which it waits for the end of the cell, and then may never see it (jupyter/nbclient#312).
+    client.widget_registry = {}
+    client.execute(env=env)
     return notebook
 
 
-def pictures(notebook):
-    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-    return [output for output in outputs if "image/png" in output.get("data", {})]
+def shows_picture(cell):
+    return any("image/png" in output.get("data", {}) for output in cell.outputs)
+
+
+def draws(cell):
+    return re.search(r"\.plot\w*\(|\.subplots\(|interact\(", cell.source) is not None
 
 
 def test_there_are_five_notebooks_each_in_both_forms():
@@ -63,7 +65,7 @@ def test_both_forms_have_the_same_cells(path):
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=stem)
 def test_the_committed_notebook_is_stripped(path):
-    cells = code_of(path.with_suffix(".ipynb"))
+    cells = code_of(jupytext.read(path.with_suffix(".ipynb")))
     assert [cell.outputs for cell in cells] == [[]] * len(cells)
     assert [cell.execution_count for cell in cells] == [None] * len(cells)
 
@@ -71,11 +73,13 @@ def test_the_committed_notebook_is_stripped(path):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=stem)
 def test_a_notebook_runs_from_top_to_bottom_and_shows_pictures(path):
-    assert pictures(executed(path))
+    drawing = [cell for cell in code_of(executed(path)) if draws(cell)]
+    assert len(drawing) >= 2
+    assert [cell.source for cell in drawing if not shows_picture(cell)] == []
 
 
 @pytest.mark.slow
 def test_without_widgets_there_is_a_picture_in_place_of_the_sliders():
     notebook = executed(FIRST, first=HIDE_WIDGETS)
     (cell,) = [cell for cell in notebook.cells if "ipywidgets.interact" in cell.source]
-    assert any("image/png" in output.get("data", {}) for output in cell.outputs)
+    assert shows_picture(cell)

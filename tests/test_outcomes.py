@@ -180,7 +180,7 @@ BAD = {
     "no scenario": (lambda: qj.Study(lambda draw: 3, 0.1), "`scenario` must return a `Scenario.*, but returns a `int`"),
     "two draws": (lambda: qj.Study(twice, 0.1), "`name` must be new in the scenario, but is `a` a second time"),
     "study's bandwidth": (lambda: qj.Study(problems.dispersed_example1, 4.0), "`bandwidth` must lie strictly between"),
-    "unknown name": (lambda: STUDY.substitute(rho_in=1.0), "no name `rho_in` .* did you mean `rho_inf`"),
+    "unknown name": (lambda: STUDY.substitute(rho_in=1.0), "no name `rho_in` .* Did you mean `rho_inf`"),
     "out of bounds": (lambda: STUDY.substitute(mu=100.0), r"`mu` must lie in \[0.5, 10\], but is 100"),
     "replay of none": (lambda: STUDY.replay(-1), r"`indices` must be in \[0, .* has -1"),
     "no threads": (lambda: qj.monte_carlo(STUDY, 1, threads=0), "`threads` must be at least 1, but is 0"),

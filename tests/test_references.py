@@ -261,9 +261,9 @@ def test_a_function_that_is_not_smooth_is_refused(fn, primitive):
 REFUSED = {
     "python if": (
         lambda: qr.Smooth(lambda t: t if t > 1 else 0.0),
-        "must be a function of time written with `jax.numpy`",
+        "must be written with `jax.numpy`, .* in place of a Python `if`.* the time is no number yet",
     ),
-    "math module": (lambda: qr.Smooth(math.sin), "must be a function of time written with `jax.numpy`"),
+    "math module": (lambda: qr.Smooth(math.sin), "must be written with `jax.numpy`, not `numpy` or `math`"),
     "reverse only": (lambda: qr.Smooth(reverse_only), "must have a forward derivative"),
     "not callable": (lambda: qr.Smooth(eqx.Partial(3.0)), "must be a function of time"),
     "vector": (lambda: qr.Smooth(lambda t: jnp.stack([t, t])), r"must return a single number, but has shape \(2,\)"),

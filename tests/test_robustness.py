@@ -12,6 +12,7 @@ import scipy.stats
 import qsmc_jax as qj
 from qsmc_jax.verification.simultaneous import median_interval, simultaneous_intervals
 from tests.coin_study import scenario, study
+from tests.drawing import draws_in_given_axes
 from tests.studies_for_tests import study as integrator
 
 RUNS, BLOCK = 128, 128
@@ -162,7 +163,7 @@ def legend(ax):
 
 
 def test_a_curve_has_its_band_its_scale_and_its_thresholds(over_p):
-    ax = with_lines(over_p).plot(dimensionless=True).axes[0]
+    ax = with_lines(over_p).plot(dimensionless=True)[0]
     assert ax.get_xscale() == "log"
     assert ax.get_xlabel() == "3 p [-]"
     assert "first (local)" in legend(ax)
@@ -173,7 +174,7 @@ def test_a_curve_has_its_band_its_scale_and_its_thresholds(over_p):
 
 
 def test_a_mesh_has_borders_and_thresholds_on_both_axes(over_both):
-    ax = with_lines(over_both).plot().axes[0]
+    ax = draws_in_given_axes(with_lines(over_both).plot, 1 + len(over_both.medians))[0]
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "linear")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("p", "flip")
     assert {"first (local)", "second (sufficient)"} <= set(legend(ax))
@@ -190,7 +191,7 @@ def test_a_map_without_scales_cannot_be_drawn_dimensionless(over_p):
     [
         ({"over": {}}, "`over` must have one or two names, but has 0"),
         ({"over": {"p": [0.1], "flip": [0.0], "scale": [1.0]}}, "one or two names, but has 3"),
-        ({"over": {"pp": [0.1]}}, "There is no name `pp`.*did you mean `p`"),
+        ({"over": {"pp": [0.1]}}, "There is no name `pp`.*Did you mean `p`"),
         ({"over": {"p": [0.1, 1.5]}}, "`p` must lie in .0, 1., but is 1.5"),
         ({"over": {"p": [0.2, 0.1]}}, "the values of `p` in increasing order"),
         ({"over": {"p": [0.1, 0.1]}}, "increasing order"),

@@ -85,7 +85,7 @@ def test_what_is_not_certified_exits_with_3(file):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--for", "nu", "--objective", "mean(energy_u)"), "did you mean `mu`"),
+        (("--for", "nu", "--objective", "mean(energy_u)"), "Did you mean `mu`"),
         (("--for", "mu", "--objective", "median(energy_u)"), "must be made of mean(m)"),
         (("--for", "mu", "--objective", "mean(energy_u)", "--subject-to", "mean(energy_u)"), "comparison"),
         (("--for", "mu", "--objective", "mean(energy_u)", "-S", "@nowhere"), "must name a result of `qsmc tune`"),

@@ -10,6 +10,7 @@ from scipy import integrate, optimize
 import problems
 import qsmc_jax as qj
 from qsmc_jax.tuning.certificate import confidence_of
+from tests.drawing import draws_in_given_axes
 
 SLOW = pytest.mark.slow
 HORIZON = 60.0
@@ -176,7 +177,7 @@ def refused(kind, draw):
         ("rounded", ["mu"], "mean(rms_error)", [], "`input_resolution` of the implementation rounds"),
         ("jump", ["when"], "mean(rms_error)", [], "can't be trusted: along itself"),
         ("short", ["mu"], "mean(peak_error[0])", [], "objective at the start must be finite"),
-        ("plain", ["nu"], "mean(rms_error)", [], "did you mean `mu`"),
+        ("plain", ["nu"], "mean(rms_error)", [], "Did you mean `mu`"),
         ("plain", ["x0"], "mean(rms_error)", [], "must name parameters, but `x0` is a uniform"),
         ("plain", ["mu"], "mean(peak_error[3])", [], "this plant has peak_error"),
         ("plain", ["mu"], "mean(excess_variation_u)", [], "which only a loop with an `implementation` has"),
@@ -234,5 +235,6 @@ def test_the_landscape_has_the_closed_form_and_its_efficient_cells():
     others = made.values[:, made.is_feasible].T
     for cell in cells:
         assert not np.any(np.all(others <= cell, axis=1) & np.any(others < cell, axis=1))
-    assert len(made.plot_pareto().axes) == 1
-    assert made.plot().axes
+    front, contour = draws_in_given_axes(made.plot_pareto), draws_in_given_axes(made.plot)
+    assert (front.get_xlabel(), front.get_ylabel()) == ("mean(energy_u)", "mean(rms_error)")
+    assert (contour.get_xlabel(), contour.get_ylabel()) == ("rho0", "gain")

@@ -3,6 +3,9 @@
 A value that is being traced has no number yet and passes: whatever it breaks then shows per run, as INADMISSIBLE.
 """
 
+import difflib
+from collections.abc import Iterable
+from numbers import Integral
 from typing import Any
 
 import jax
@@ -19,6 +22,32 @@ def require(condition: bool, message: str) -> None:
     """Raises `ValueError(message)` unless the condition holds."""
     if not condition:
         raise ValueError(message)
+
+
+def require_kind(name: str, value: Any, kind: type, remedy: str = "") -> None:
+    """Raises unless `value` is an instance of a class; `remedy` says how to make one."""
+    if not isinstance(value, kind):
+        is_class = isinstance(value, type)
+        found = f"the class `{value.__name__}` itself" if is_class else f"of class `{type(value).__name__}`"
+        remedy = f"Call it: `{value.__name__}(...)`." if is_class and issubclass(value, kind) else remedy
+        raise ValueError(f"Argument `{name}` must be of class `{kind.__name__}`, but is {found}. {remedy}".rstrip())
+
+
+def require_list(name: str, values: Any) -> None:
+    """Raises if `values` is a text, which would come apart into its letters, instead of a list of texts."""
+    require(not isinstance(values, str), f"Argument `{name}` must be a list, but is a text: write [{values!r}].")
+
+
+def require_count(name: str, value: Any, least: int = 1) -> None:
+    """Raises unless `value` is a whole number and at least `least`."""
+    require(isinstance(value, Integral), f"Argument `{name}` must be a whole number, but is {value!r}.")
+    require(value >= least, f"Argument `{name}` must be at least {least}, but is {value}.")
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """A question that proposes the most similar of the names, with a space before it; nothing if none is similar."""
+    found = difflib.get_close_matches(name, list(names), n=1, cutoff=0.5)
+    return f" Did you mean `{found[0]}`?" if found else ""
 
 
 def require_finite(name: str, value: Any) -> None:

@@ -1,12 +1,16 @@
 """The base class of everything that holds parameters, and the one way to declare a number field."""
 
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+import functools as ft
+from types import UnionType
+from typing import TYPE_CHECKING, Any, ClassVar, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+
+from qsmc_jax.base.checks import require_kind
 
 
 class AbstractModule(eqx.Module):
@@ -16,8 +20,12 @@ class AbstractModule(eqx.Module):
     array field is compared with its annotation: a shape that does not fit is refused by name.
     """
 
+    # How to come by one; added to the message where something else is given instead.
+    remedy: ClassVar[str] = ""
+
     def __check_init__(self):
-        for name, hint in get_type_hints(type(self), include_extras=True).items():
+        require_parts(self)
+        for name, hint in _hints(type(self)).items():
             dims = _dimensions(hint)
             value: Any = getattr(self, name, None)
             if dims is None or not eqx.is_array_like(value):
@@ -28,6 +36,31 @@ class AbstractModule(eqx.Module):
                     f"Argument `{name}` of `{type(self).__name__}` must be {_RANKS[rank]}, but has shape "
                     f"{np.shape(value)}."
                 )
+
+
+def require_parts(module: AbstractModule) -> None:
+    """Raises unless every field that is to be a module is one, of the class it is annotated with.
+
+    Construction does so by itself, but after the checks of the subclass: one that looks into its parts calls this.
+    """
+    for name, hint in _hints(type(module)).items():
+        kind = _module_class(hint)
+        value = getattr(module, name, None)
+        if kind is not None and not (value is None and type(None) in get_args(hint)):
+            require_kind(f"{name}` of `{type(module).__name__}", value, kind, kind.remedy)
+
+
+@ft.lru_cache(maxsize=256)
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
+
+
+def _module_class(hint: Any) -> type[AbstractModule] | None:
+    """The one class of modules that an annotation allows, also one that allows None; None for anything else."""
+    is_optional = get_origin(hint) in (Union, UnionType) and type(None) in get_args(hint)
+    allowed = [part for part in (get_args(hint) if is_optional else [hint]) if part is not type(None)]
+    is_module = len(allowed) == 1 and isinstance(allowed[0], type) and issubclass(allowed[0], AbstractModule)
+    return allowed[0] if is_module else None
 
 
 def _dimensions(hint: Any) -> str | None:
@@ -55,10 +88,17 @@ else:
         return eqx.field(converter=as_float64, **kwargs)
 
 
+# NumPy's kinds of texts, times and complex numbers, which it would turn into floats if it can.
+_NO_NUMBERS = "USMmc"
+
+
 def as_float64(value: Any) -> Any:
     """`value` as a NumPy float64 array; JAX arrays, tracers and sequences holding tracers become JAX arrays.
 
     None, which stands for something switched off, stays None.
+
+    Raises:
+        ValueError: It is a text, a date or complex.
     """
     if value is None:
         return None
@@ -66,4 +106,6 @@ def as_float64(value: Any) -> Any:
         return value.astype(float) if jnp.issubdtype(value.dtype, jnp.integer) else value
     if isinstance(value, list | tuple) and any(isinstance(v, Tracer) for v in jax.tree.leaves(value)):
         return jnp.stack([jnp.asarray(v) for v in value])
+    if np.asarray(value).dtype.kind in _NO_NUMBERS:
+        raise ValueError(f"A number or a list of numbers is wanted, but {value!r} was given.")
     return np.asarray(value, dtype=np.float64)

@@ -4,27 +4,28 @@ import base64
 import html
 import importlib
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from typing import Any
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.plotting import off_screen
 
 _STYLE = "line-height:1.25;font-size:85%;margin:0.2em 0"
 
 
-def as_html(text: str, figure: Any = None) -> str:
+def as_html(text: str, draw: Callable[[], Any] | None = None) -> str:
     """A text as it is, and below it a small picture.
 
     Args:
         text: The text.
-        figure: A matplotlib `Figure`; None for no picture.
+        draw: Draws it and returns its axes; None for no picture.
     """
     written = f'<pre style="{_STYLE}">{html.escape(text)}</pre>'
-    if figure is None:
+    if draw is None:
         return written
     content = BytesIO()
-    figure.savefig(content, format="png", dpi=80)
+    off_screen(draw).savefig(content, format="png", dpi=80)
     return f'{written}<img src="data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}">'
 
 

@@ -109,7 +109,7 @@ def run_campaign(
         ...     print(qj.campaign.run_campaign(folder, recipe, runs=64).conclusion())
         HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
-    check_request(runs, confidence, worst)
+    check_request(runs, confidence, worst, until)
     is_anytime = folder.ask_for(runs, until is not None)
     evidence, session = Evidence(recipe.study, worst, recipe.block), folder.begin_session(provenance or {})
     state, decision = "interrupted", None

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.blocks import BlockFile, block_files, gaps, write_block
 from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
@@ -59,7 +59,7 @@ class RunFolder:
         Raises:
             ValueError: The folder has something else in it, or can't be made.
         """
-        require(file_runs >= 1, f"Argument `file_runs` must be at least 1, but is {file_runs}.")
+        require_count("file_runs", file_runs)
         try:
             path.mkdir(parents=True, exist_ok=True)
             is_empty = not any(path.iterdir())

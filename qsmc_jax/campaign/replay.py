@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.simulation.outcome import Verdict
@@ -89,7 +89,7 @@ def _row(folder: RunFolder, index: int) -> dict[str, Any]:
 
 
 def _worst(folder: RunFolder, rank: int) -> dict[str, Any]:
-    require(rank >= 1, f"Argument `--worst` must be at least 1, but is {rank}.")
+    require_count("--worst", rank)
     kept: list[Runs] = []
     for table in folder.tables():
         kept = [worst_of([*kept, table], rank)]

@@ -66,7 +66,7 @@ def show_run(
             with ResultFolder(out) as result:
                 result.add_json("run.json", numbers)
                 result.add_table("signals.parquet", again.trajectory.columns())
-                result.add_figure("run.png", again.trajectory.plot())
+                result.add_figure("run.png", again.trajectory.plot)
                 result.commit()
         say(to_json(numbers) if as_json else f"{again}" + (f"\nWritten to {out}." if out else ""))
     raise typer.Exit(0 if again.agrees else UNDECIDED)

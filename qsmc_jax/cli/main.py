@@ -4,6 +4,7 @@ Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.
 """
 
 import contextlib
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -56,9 +57,9 @@ def simulate(
             if folder:
                 folder.add_json("run.json", numbers)
                 folder.add_table("signals.parquet", run.columns())
-                folder.add_figure("run.png", run.plot())
+                folder.add_figure("run.png", run.plot)
                 if run.loop.order == 2:
-                    folder.add_figure("phase_plane.png", run.plot_phase_plane())
+                    folder.add_figure("phase_plane.png", run.plot_phase_plane)
                 folder.commit()
         say(to_json(numbers) if as_json else str(run) + (f"\nWritten to {out}." if out else ""))
     raise typer.Exit(EXIT_CODES.get(run.verdict.name, UNDECIDED))
@@ -70,7 +71,7 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
     with session(cache):
         from qsmc_jax.report.folder import ResultFolder, to_json
         from qsmc_jax.report.paper_table import as_text, rows, simulate_example
-        from qsmc_jax.simulation.trajectory_plots import plot_phase_plane, plot_trajectory
+        from qsmc_jax.simulation.trajectory_plots import plot_trajectory
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             table = []
@@ -80,9 +81,9 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
                     table += rows(number, runs)
                     if folder:
                         labels = tuple(f"$x_i(0)$ = {run.x[0, 0]:g}" for run in runs)
-                        folder.add_figure(f"example{number}.png", plot_trajectory(*runs, labels=labels))
+                        folder.add_figure(f"example{number}.png", partial(plot_trajectory, *runs, labels=labels))
                         if number == 1:
-                            folder.add_figure("figure1_phase_plane.png", plot_phase_plane(runs[0]))
+                            folder.add_figure("figure1_phase_plane.png", runs[0].plot_phase_plane)
             content = {"claims": [vars(row) for row in table]}
             if folder:
                 folder.add_json("paper.json", content)

@@ -6,6 +6,7 @@ Exit codes: 0 done, 2 bad input, 3 interrupted, or (`critical`) nothing could be
 import contextlib
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -185,7 +186,7 @@ def _deliver(
             folder.add_json(f"{stem}.json", content)
             folder.add_table(f"{stem}.parquet", result.table())
             with waiting("drawing", quiet=as_json):
-                folder.add_figure(f"{stem}.png", draw(result))
+                folder.add_figure(f"{stem}.png", partial(draw, result))
             folder.commit()
     say(to_json(content) if as_json else str(result) + (f"\nWritten to {out}." if out else ""))
     return result

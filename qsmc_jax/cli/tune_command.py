@@ -6,6 +6,7 @@ Exit codes: 0 certified (or tuned, if no certificate was asked for), 2 bad input
 import contextlib
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -121,19 +122,19 @@ def _write(folder: Any, result: "Tuning", content: Any, drawn: dict[str, Any]) -
     folder.commit()
 
 
-def _draw(add: Callable[[str, Any], None], result: "Tuning", drawn: dict[str, Any]) -> None:
+def _draw(add: Callable[[str, Callable[[], Any]], None], result: "Tuning", drawn: dict[str, Any]) -> None:
     """The pictures: the search, the loop before and after, and for two gains the landscape and the Pareto front."""
     from qsmc_jax.simulation.trajectory_plots import plot_trajectory
     from qsmc_jax.tuning.landscape import landscape
 
-    add("tuning.png", result.plot())
+    add("tuning.png", result.plot)
     before = result.base.substitute(**result.before.gains)
     labels = [
         ", ".join(f"{name} = {value:.4g}" for name, value in gains.items())
         for gains in (result.before.gains, result.gains)
     ]
     runs = [study.simulate(settings=drawn["settings"]) for study in (before, result.study)]
-    add("before_after.png", plot_trajectory(*runs, labels=tuple(labels)))
+    add("before_after.png", partial(plot_trajectory, *runs, labels=tuple(labels)))
     if len(result.parameters) == 2:
         made = landscape(
             result.base,
@@ -145,6 +146,6 @@ def _draw(add: Callable[[str, Any], None], result: "Tuning", drawn: dict[str, An
             mark={"before": result.before.gains, "tuned": result.gains},
             **drawn,
         )
-        add("landscape.png", made.plot(result.history))
+        add("landscape.png", partial(made.plot, result.history))
         if drawn["against"] is not None:
-            add("pareto.png", made.plot_pareto())
+            add("pareto.png", made.plot_pareto)

@@ -2,7 +2,7 @@
 
 import abc
 import functools as ft
-from typing import Literal, NamedTuple, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -57,6 +57,8 @@ class AbstractControl(AbstractModule):
         gain_sign: The sign of the control gain g, 1 or -1.
         positive: Names of the law's own numbers that must be positive.
     """
+
+    remedy: ClassVar[str] = "Use `qj.QuasiSlidingControl(surface, funnel)` or one of `qj.controllers`."
 
     surface: eqx.AbstractVar[SlidingSurface]
     funnel: eqx.AbstractVar[Funnel]

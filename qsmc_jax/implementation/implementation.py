@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import (
     is_traced,
     require,
+    require_count,
     require_finite,
     require_nonnegative,
     require_positive,
@@ -173,7 +174,7 @@ class Implementation(AbstractModule):
             require_disturbances("unmatched", self.unmatched)
         known = get_args(Beyond)
         require(self.beyond in known, f"Argument `beyond` must be one of {list(known)}, but is {self.beyond!r}.")
-        require(self.queue >= 1, f"Argument `queue` must be at least 1, but is {self.queue}.")
+        require_count("queue", self.queue)
         if self.is_late and not is_traced(self.sample_period, self.delay, self.measurement_delay, self.jitter):
             needed = self._most_under_way()
             require(

@@ -34,6 +34,8 @@ class AbstractPlant(AbstractModule):
     Source: paper, eq. (1); the paper has f(x) and g(x), time is added for drifting parameters.
     """
 
+    remedy: ClassVar[str] = "Derive from `qj.AbstractPlant`, or use one of `qj.plants`."
+
     order: eqx.AbstractClassVar[int]
 
     @abc.abstractmethod

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,8 @@ class AbstractReference(AbstractModule):
 
     Source: paper, below eq. (1), where $x_{des}$ is smooth; its bounds matter to the proof, not here.
     """
+
+    remedy: ClassVar[str] = "A smooth function f(t) becomes one by `qj.references.Smooth(f)`."
 
     @abc.abstractmethod
     def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:

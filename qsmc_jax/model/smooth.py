@@ -22,6 +22,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var, jaxprs_in_params
 from jaxtyping import Array
 
 from qsmc_jax.base.checks import is_traced, require, show
+from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
 
 _ROUNDING = {"abs", "sign", "floor", "ceil", "round", "rem", "nextafter"}
@@ -93,11 +94,11 @@ def _tower(fn: Callable[..., Any], order: int) -> Callable[..., Any]:
 
 def _traced(fn: Callable[..., Any]) -> ClosedJaxpr:
     try:
-        return jax.make_jaxpr(fn)(jnp.zeros(()))
-    except (jax.errors.JAXTypeError, TypeError) as error:
+        with traceable("Argument `fn` of `references.Smooth`", "the time"):
+            return jax.make_jaxpr(fn)(jnp.zeros(()))
+    except TypeError as error:
         raise ValueError(
-            "Argument `fn` of `references.Smooth` must be a function of time written with `jax.numpy`, without a "
-            f"Python `if` on time, but tracing it says: {error}"
+            f"Argument `fn` of `references.Smooth` must be a function of time, but calling it says: {error}."
         ) from error
 
 

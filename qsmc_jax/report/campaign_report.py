@@ -3,12 +3,13 @@
 import base64
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from typing import Any
 
 import jinja2
 
+from qsmc_jax.base.plotting import off_screen
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.report.drivers import Drivers
@@ -34,7 +35,7 @@ def write_report(folder: RunFolder, result: Verification, provenance: Mapping[st
     content = to_json({**result.summary(), "conclusion": result.conclusion(), "provenance": provenance})
     write_whole(folder.path / "summary.json", content.encode() + b"\n")
     (folder.path / "figures").mkdir(exist_ok=True)
-    _draw(folder, "verification.png", result.plot())
+    _draw(folder, "verification.png", result.plot)
     write_page(folder)
 
 
@@ -47,7 +48,7 @@ def write_page(folder: RunFolder) -> None:
     summary = folder.read_json("summary.json")
     drivers = Drivers.of(folder.tables(0, int(summary["runs"])))
     if drivers.names:
-        _draw(folder, "drivers.png", drivers.plot())
+        _draw(folder, "drivers.png", drivers.plot)
     write_whole(folder.path / "report.html", page(folder, summary, drivers).encode())
 
 
@@ -107,9 +108,9 @@ def _short(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def _draw(folder: RunFolder, name: str, figure: Any) -> None:
+def _draw(folder: RunFolder, name: str, draw: Callable[[], Any]) -> None:
     content = BytesIO()
-    figure.savefig(content, format="png", dpi=110)
+    off_screen(draw).savefig(content, format="png", dpi=110)
     write_whole(folder.path / "figures" / name, content.getvalue())
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from qsmc_jax.base.plotting import BLUE, ORANGE, new_figure
+from qsmc_jax.base.plotting import BLUE, ORANGE, panels
 from qsmc_jax.study.runs import Runs, concatenate
 
 # Rows taken: the first ones, which are as random as any.
@@ -47,20 +47,21 @@ class Drivers:
         return cls(tuple(order), tuple(found[name] for name in order), rows)
 
     def plot(self) -> Any:
-        """Bars of the correlations, and the margin against the strongest three."""
+        """Bars of the correlations, and the margin against the strongest three; the axes."""
         shown = self.names[:_SHOWN]
-        figure, axes = new_figure(1, 1 + len(shown), (4.2 * (1 + len(shown)), 4.2))
-        ax, top = axes[0, 0], self.names[:10][::-1]
+        count = 1 + len(shown)
+        axes = panels(None, count, count, (4.2 * count, 4.2))
+        ax, top = axes[0], self.names[:10][::-1]
         values = dict(zip(self.names, self.correlation, strict=True))
         colours = [ORANGE if values[name] < 0.0 else BLUE for name in top]
         ax.barh(range(len(top)), [values[name] for name in top], color=colours)
         ax.set_yticks(range(len(top)), top)
         ax.axvline(0.0, color="black", lw=0.8)
         ax.set(title="What goes with the margin", xlabel="Spearman rank correlation [-]", xlim=(-1.05, 1.05))
-        for ax, name in zip(axes[0, 1:], shown, strict=True):
+        for ax, name in zip(axes[1:], shown, strict=True):
             ax.scatter(self.rows[name][:5000], self.rows["margin"][:5000], s=4, alpha=0.35, color=BLUE, rasterized=True)
             ax.set(title=f"rank correlation {values[name]:+.2f}", xlabel=name, ylabel=r"$1 - \sup|\sigma|/\rho$ [-]")
-        return figure
+        return axes
 
 
 def _rank_correlation(x: np.ndarray, y: np.ndarray) -> float:

@@ -3,7 +3,7 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.plotting import off_screen
 
 
 class ResultFolder:
@@ -53,9 +54,9 @@ class ResultFolder:
         """Writes a JSON file; numbers that JSON does not know (NaN, infinities) become texts."""
         (self._temporary / name).write_text(to_json(content) + "\n", encoding="utf-8")
 
-    def add_figure(self, name: str, figure: Any) -> None:
-        """Writes a picture."""
-        figure.savefig(self._temporary / name, dpi=150)
+    def add_figure(self, name: str, draw: Callable[[], Any]) -> None:
+        """Writes the picture that a call draws."""
+        off_screen(draw).savefig(self._temporary / name, dpi=150)
 
     def commit(self) -> None:
         """Gives the folder its name."""

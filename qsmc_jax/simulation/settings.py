@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_traced, require, require_positive
+from qsmc_jax.base.checks import is_traced, require, require_count, require_positive
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
 from qsmc_jax.base.types import RealScalarLike
 
@@ -87,7 +87,7 @@ class SolverSettings(AbstractModule):
         require_positive("rtol", self.rtol)
         require_positive("atol", self.atol)
         require(is_traced(self.rtol) or bool(self.rtol < 1), f"Argument `rtol` must be below 1, but is {self.rtol}.")
-        require(self.max_steps >= 1, f"Argument `max_steps` must be at least 1, but is {self.max_steps}.")
+        require_count("max_steps", self.max_steps)
         for name, value, known in (
             ("method", self.method, get_args(Method)),
             ("coordinates", self.coordinates, get_args(CoordinatesName)),

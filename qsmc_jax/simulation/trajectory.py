@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Real
 
-from qsmc_jax.base.checks import require, require_finite, require_positive, require_shape, show
+from qsmc_jax.base.checks import require, require_finite, require_kind, require_positive, require_shape, show
 from qsmc_jax.base.gudermann import ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
@@ -78,15 +78,25 @@ class Trajectory(AbstractModule):
         """t_r [s], from which on the funnel lies inside the bandwidth."""
         return float(self.loop.control.funnel.reaching_time(self.bandwidth))
 
-    def plot(self) -> Any:
-        """The paper's four pictures as one matplotlib figure: output, errors, input, sliding variable in its funnel."""
-        return plot_trajectory(self)
+    def plot(self, ax: Any = None) -> Any:
+        """The paper's four pictures, in matplotlib: output, errors, input, sliding variable in its funnel.
+
+        Args:
+            ax: Four matplotlib `Axes` to draw in, in reading order; None for a new figure.
+
+        Returns:
+            The axes, (4,); `axes[0].figure.savefig(path)` writes them to a file.
+        """
+        return plot_trajectory(self, ax=ax)
 
     def plot_phase_plane(self, ax: Any = None) -> Any:
         """The paper's Figure 1, for a plant of order 2: the errors' path between the moving surfaces, in matplotlib.
 
         Args:
             ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+        Returns:
+            The axes.
         """
         return plot_phase_plane(self, ax)
 
@@ -95,6 +105,9 @@ class Trajectory(AbstractModule):
 
         Args:
             ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+        Returns:
+            The axes.
         """
         return plot_funnel(self, ax)
 
@@ -119,7 +132,7 @@ class Trajectory(AbstractModule):
         return as_dataset({**wide, **flat}, coordinates, attributes)
 
     def _repr_html_(self) -> str:
-        return as_html(str(self), self.plot_funnel())
+        return as_html(str(self), self.plot_funnel)
 
     def __str__(self) -> str:
         f, peak = self.figures, float(self.figures.peak_ratio)
@@ -187,6 +200,7 @@ def simulate(
         >>> run.verdict.name, round(float(run.figures.peak_ratio), 4)
         ('HELD', 0.6323)
     """
+    require_kind("loop", loop, ClosedLoop, ClosedLoop.remedy)
     settings = SolverSettings() if settings is None else settings
     bandwidth = as_float64(2.0 * loop.control.funnel.rho_inf if bandwidth is None else bandwidth)
     x0, t1 = as_float64(x0), as_float64(t1)

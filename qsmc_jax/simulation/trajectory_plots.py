@@ -5,40 +5,42 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure, one_axes
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
 
 if TYPE_CHECKING:
     from qsmc_jax.simulation.trajectory import Trajectory
 
 
-def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None) -> Any:
+def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None, ax: Any = None) -> Any:
     """Output and reference, errors, input, and sigma inside its funnel, of one or several runs of one loop.
 
     Args:
         *runs: Trajectories of one plant and reference, say from several starts.
         labels: One label a run; None for none.
+        ax: Four matplotlib `Axes` to draw in, in reading order; None for a new figure.
 
     Returns:
-        A matplotlib `Figure`; save it with `.savefig(path)`.
+        The axes, (4,): output, errors, input, sliding variable.
     """
-    figure, axes = new_figure(2, 2, (11.0, 7.0))
+    axes = panels(ax, 4, 2, (11.0, 7.0))
+    outputs, errors, inputs, funnel = axes
     names = labels or ("",) * len(runs)
     for run, colour, label in zip(runs, _colours(len(runs)), names, strict=True):
-        _output(axes[0, 0], run, colour, label)
-        _input(axes[1, 0], run, colour)
-        axes[1, 1].plot(run.ts, run.sigma, color=colour)
-    _errors(axes[0, 1], runs)
+        _output(outputs, run, colour, label)
+        _input(inputs, run, colour)
+        funnel.plot(run.ts, run.sigma, color=colour)
+    _errors(errors, runs)
     first = runs[0]
-    axes[0, 0].plot(first.ts, first.desired[:, 0], "--", color=GREY, label="$x_{des}$")
-    axes[0, 0].set(title="Output and reference", xlabel="t [s]", ylabel="y")
-    axes[0, 0].legend(loc="best", fontsize=8)
-    axes[1, 0].set(title="Input", xlabel="t [s]", ylabel="u")
+    outputs.plot(first.ts, first.desired[:, 0], "--", color=GREY, label="$x_{des}$")
+    outputs.set(title="Output and reference", xlabel="t [s]", ylabel="y")
+    outputs.legend(loc="best", fontsize=8)
+    inputs.set(title="Input", xlabel="t [s]", ylabel="u")
     for run, colour in zip(runs[1:], _colours(len(runs))[1:], strict=True):
         if not np.array_equal(run.rho, first.rho):
             for sign in (-1.0, 1.0):
-                axes[1, 1].plot(run.ts, sign * run.rho, "--", color=colour, lw=1.0)
-    _funnel(axes[1, 1], first)
-    return figure
+                funnel.plot(run.ts, sign * run.rho, "--", color=colour, lw=1.0)
+    _funnel(funnel, first)
+    return axes
 
 
 def plot_phase_plane(run: "Trajectory", ax: Any = None) -> Any:
@@ -49,14 +51,14 @@ def plot_phase_plane(run: "Trajectory", ax: Any = None) -> Any:
         ax: Matplotlib `Axes` to draw in; None for a new figure.
 
     Returns:
-        A matplotlib `Figure`.
+        The axes.
 
     Raises:
         ValueError: The plant is not of order 2.
     """
     order = run.loop.order
     require(order == 2, f"The phase plane needs a plant of order 2, but this one has order {order}. Use `plot()`.")
-    figure, ax = one_axes(ax, (7.0, 5.5))
+    ax = one_axes(ax, (7.0, 5.5))
     c = float(run.loop.control.surface.c[0])
     reach = 1.1 * max(np.nanmax(np.abs(run.e[:, 0])), float(run.bandwidth))
     e = np.linspace(-reach, reach, 2)
@@ -77,7 +79,7 @@ def plot_phase_plane(run: "Trajectory", ax: Any = None) -> Any:
     height = 1.2 * np.nanmax(np.abs(run.e[:, 1])) + float(run.bandwidth)
     ax.set(xlim=(-reach, reach), ylim=(-height, height), xlabel="$e$", ylabel=r"$\dot e$ [1/s]", title="Phase plane")
     ax.legend(loc="best", fontsize=8)
-    return figure
+    return ax
 
 
 def plot_funnel(run: "Trajectory", ax: Any = None) -> Any:
@@ -88,12 +90,12 @@ def plot_funnel(run: "Trajectory", ax: Any = None) -> Any:
         ax: Matplotlib `Axes` to draw in; None for a new figure.
 
     Returns:
-        Its matplotlib `Figure`.
+        The axes.
     """
-    figure, ax = one_axes(ax, (6.0, 3.6))
+    ax = one_axes(ax, (6.0, 3.6))
     ax.plot(run.ts, run.sigma, color=BLUE, label=r"$\sigma$")
     _funnel(ax, run)
-    return figure
+    return ax
 
 
 def _colours(count: int) -> list[str]:

@@ -6,7 +6,6 @@ names to substitute, and any run can be done again from these two.
 """
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -15,8 +14,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive, require_shape, show
+from qsmc_jax.base.checks import is_traced, nearest, require, require_finite, require_positive, require_shape, show
 from qsmc_jax.base.module import as_float64
+from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.study import quantiles
 
@@ -212,7 +212,8 @@ def discover(scenario: Callable[[Any], Any]) -> tuple[tuple[DrawSpec, ...], Any]
     with jax.enable_x64(True):
         draw = PointDraw()
         result = scenario(draw)
-        dependent = _dependent_names(scenario, draw.specs)
+        with traceable("Argument `scenario`", "what it draws"):
+            dependent = _dependent_names(scenario, draw.specs)
     loose = {"bounds": (-math.inf, math.inf), "levels": ()}
     return tuple(dataclasses.replace(s, **loose) if s.name in dependent else s for s in draw.specs), result
 
@@ -261,10 +262,8 @@ def _checked_value(spec: DrawSpec, value: Any) -> Any:
 
 def _unknown_name(name: str, names: list[str]) -> str:
     """The message for a name that does not exist, with the nearest that does."""
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f"; did you mean `{near[0]}`?" if near else "."
     listed = ", ".join(f"`{n}`" for n in names) or "none"
-    return f"There is no name `{name}` in this study{hint} It has: {listed}."
+    return f"There is no name `{name}` in this study.{nearest(name, names)} It has: {listed}."
 
 
 def _dependent_names(scenario: Callable[[Any], Any], specs: Sequence[DrawSpec]) -> set[str]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_count, require_kind
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
@@ -45,6 +45,7 @@ class Lanes:
     count: int
 
     def __post_init__(self):
+        require_kind("settings", self.settings, SolverSettings, "Make one: `qj.SolverSettings(rtol=1e-8)`.")
         fits = self.count >= 1 and self.count % LANE_MULTIPLE == 0
         require(fits, f"Argument `block` must be a positive multiple of {LANE_MULTIPLE}, but is {self.count}.")
 
@@ -99,7 +100,7 @@ class Lanes:
 def thread_count(threads: int | None) -> int:
     """Blocks to be solved at the same time; None stands for one a core."""
     count = os.cpu_count() or 1 if threads is None else threads
-    require(count >= 1, f"Argument `threads` must be at least 1, but is {count}.")
+    require_count("threads", count)
     return count
 
 

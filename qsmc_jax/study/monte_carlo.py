@@ -6,13 +6,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require_count, require_kind
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import Lanes, thread_count
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
-from qsmc_jax.study.study import Study
+from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.study.windows import Piece, Planner, reassembled
 
 # Small enough that a sample for the numerical error and a few doubtful runs cost little, large enough to vectorise.
@@ -62,7 +62,7 @@ def monte_carlo(
         >>> len(runs), runs.names, bool((runs["peak_ratio"] < 1.0).all())
         (64, ('x0[0]', 'x0[1]'), True)
     """
-    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+    require_count("runs", runs)
     blocks = stream(
         study, range(runs), seed, sampling=sampling, settings=settings, block=block, threads=threads, progress=progress
     )
@@ -110,8 +110,12 @@ def stream(
         >>> [table["index"].tolist() for table in qj.stream(study, [17, 3], block=64)]
         [[17, 3]]
     """
+    require_study(study)
     lanes = Lanes(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
+    require_kind(
+        "sampling", sampling, AbstractSampling, "Use `qj.Random()`, `qj.LatinHypercube(runs)` or `qj.Sobol()`."
+    )
     threads = thread_count(threads)
     planner = planner or Planner(lanes, seed, sampling)
     done, solved = 0, []

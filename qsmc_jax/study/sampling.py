@@ -7,6 +7,7 @@ alone.
 import abc
 import functools as ft
 from collections.abc import Sequence
+from numbers import Integral
 from typing import ClassVar, TypeAlias
 
 import equinox as eqx
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 from scipy.stats import qmc
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.base.module import AbstractModule
 
 Indices: TypeAlias = Sequence[int] | np.ndarray
@@ -139,7 +140,7 @@ class LatinHypercube(AbstractSampling):
     )
 
     def __check_init__(self):
-        require(self.runs >= 1, f"Argument `runs` must be at least 1, but is {self.runs}.")
+        require_count("runs", self.runs)
 
     def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
         wanted = _checked_indices(seed, indices, self.runs)
@@ -200,6 +201,7 @@ def _latin_hypercube(seed: int, runs: int, dim: int) -> np.ndarray:
 
 def _checked_indices(seed: int, indices: Indices, limit: int) -> np.ndarray:
     """The indices as int64."""
+    require(isinstance(seed, Integral), f"Argument `seed` must be a whole number, but is {seed!r}.")
     require(0 <= seed < 2**63, f"Argument `seed` must be in [0, 2**63), but is {seed}.")
     array = np.asarray(indices) if len(indices) else np.empty(0, np.int64)
     require(

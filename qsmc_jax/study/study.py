@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import require, require_finite
-from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.checks import require, require_finite, require_kind
+from qsmc_jax.base.module import AbstractModule, float_field, require_parts
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import Draw
 from qsmc_jax.loop import ClosedLoop
@@ -43,6 +43,7 @@ class Scenario(AbstractModule):
     t1: Float[Array, ""] = float_field()
 
     def __check_init__(self):
+        require_parts(self)
         check_start(self.loop, self.x0, self.t1)
 
 
@@ -159,6 +160,11 @@ class Study:
             f"Argument `scenario` must return a `Scenario(loop, x0, t1)`, but returns a `{found}`.",
         )
         return result
+
+
+def require_study(study: Any, name: str = "study") -> None:
+    """Raises unless an argument is a study."""
+    require_kind(name, study, Study, "Make one: `qj.Study(scenario, bandwidth=...)`.")
 
 
 @ft.lru_cache(maxsize=64)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.study.draw import check_values
-from qsmc_jax.study.study import Study
+from qsmc_jax.study.study import Study, require_study
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +61,7 @@ def box_of(study: Study, names: tuple[str, ...]) -> Box:
     Raises:
         ValueError: A name does not exist, is drawn rather than a parameter, is no single number, or comes twice.
     """
+    require_study(study)
     require(len(names) > 0, "Argument `parameters` must name at least one parameter of the study.")
     require(len(set(names)) == len(names), f"Argument `parameters` must name each once, but is {list(names)}.")
     specs = {spec.name: spec for spec in study.specs}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import require, require_list
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.study.study import Study
@@ -68,6 +68,9 @@ class Landscape:
         Args:
             path: `Tuning.history`, or nothing.
             ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+        Returns:
+            The axes.
         """
         return plot_contour(self, path, ax)
 
@@ -76,6 +79,9 @@ class Landscape:
 
         Args:
             ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+        Returns:
+            The axes.
         """
         require(len(self.objectives) > 1, "A Pareto front needs two objectives: give `against`.")
         return plot_pareto(self, ax)
@@ -133,6 +139,8 @@ def landscape(
         >>> [grid.tolist() for grid in found.grids], found.values.shape
         ([[3.0, 8.0], [2.0, 4.0]], (1, 2, 2))
     """
+    require_list("parameters", parameters)
+    require_list("subject_to", subject_to)
     names = tuple(parameters)
     require(len(names) == 2, f"Argument `parameters` must name two parameters, but is {list(names)}.")
     require(points >= 2, f"Argument `points` must be at least 2, but is {points}.")

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import nearest, require
 
 _Kind = TypeVar("_Kind")
 Statistic: TypeAlias = Literal["mean", "cvar", "worst", "least"]
@@ -56,7 +56,9 @@ class Term:
 
     def __post_init__(self):
         is_known = self.metric in METRICS or self.metric.startswith("peak_error[")
-        require(is_known, f"Argument `metric` must be peak_error[i] or one of {', '.join(METRICS)}; not {self.metric}.")
+        known = f"peak_error[i] or one of {', '.join(METRICS)}"
+        hint = nearest(self.metric, METRICS)
+        require(is_known, f"Argument `metric` must be {known}, but is `{self.metric}`.{hint}")
         require(bool(0.0 <= self.level < 1.0), f"Argument `level` must lie in [0, 1), but is {self.level}.")
         require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
 

@@ -131,11 +131,18 @@ class Tuning:
         }
 
     def _repr_html_(self) -> str:
-        return as_html(str(self), self.plot())
+        return as_html(str(self), self.plot)
 
-    def plot(self) -> Any:
-        """Objective, constraints and gains along the search, and the sensitivities at its end."""
-        return plot_tuning(self)
+    def plot(self, ax: Any = None) -> Any:
+        """Objective, constraints and gains along the search, and the sensitivities at its end.
+
+        Args:
+            ax: Four matplotlib `Axes` to draw in, in reading order; None for a new figure, which also gets a heading.
+
+        Returns:
+            The axes, (4,).
+        """
+        return plot_tuning(self, ax)
 
     @property
     def _judged(self) -> list[str]:

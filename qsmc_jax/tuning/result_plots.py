@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, new_figure, one_axes
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
 from qsmc_jax.base.scales import spans_decade
 
 if TYPE_CHECKING:
@@ -14,29 +14,35 @@ if TYPE_CHECKING:
     from qsmc_jax.tuning.result import Tuning
 
 
-def plot_tuning(result: "Tuning") -> Any:
+def plot_tuning(result: "Tuning", ax: Any = None) -> Any:
     """Objective, constraints and gains along the search, and the sensitivities at its end.
 
+    Args:
+        result: What `tune` returned.
+        ax: Four matplotlib `Axes` to draw in, in reading order; None for a new figure, which also gets a heading.
+
     Returns:
-        A matplotlib `Figure`; save it with `.savefig(path)`.
+        The axes, (4,): objective, constraints, gains, sensitivities.
     """
-    figure, axes = new_figure(2, 2, (12.0, 8.0))
+    axes = panels(ax, 4, 2, (12.0, 8.0))
+    objective, constraints, gains, sensitivities = axes
     spent = np.array([each.spent for each in result.history])
     is_kept = np.array([each.is_feasible for each in result.history])
-    _draw_objective(axes[0, 0], result, spent, is_kept)
-    _draw_constraints(axes[0, 1], result, spent)
+    _draw_objective(objective, result, spent, is_kept)
+    _draw_constraints(constraints, result, spent)
     for name, colour in zip(result.parameters, _cycle(len(result.parameters)), strict=True):
         values = np.array([each.gains[name] for each in result.history]) / result.before.gains[name]
         label = f"{name}: {result.before.gains[name]:.4g} -> {result.gains[name]:.4g}"
-        axes[1, 0].plot(spent, values, ".-", color=colour, lw=0.8, label=label)
-    axes[1, 0].axhline(1.0, color=GREY, lw=0.8)
-    axes[1, 0].set(ylabel="gain over the study's own [-]", yscale="log")
-    axes[1, 0].legend(fontsize=8)
-    for ax in (axes[0, 0], axes[0, 1], axes[1, 0]):
-        ax.set(xlabel="simulations spent [-] (a gradient: 1 + gains)")
-    _draw_sensitivity(axes[1, 1], result)
-    figure.suptitle(result.conclusion(), fontsize=9, wrap=True)
-    return figure
+        gains.plot(spent, values, ".-", color=colour, lw=0.8, label=label)
+    gains.axhline(1.0, color=GREY, lw=0.8)
+    gains.set(ylabel="gain over the study's own [-]", yscale="log")
+    gains.legend(fontsize=8)
+    for each in (objective, constraints, gains):
+        each.set(xlabel="simulations spent [-] (a gradient: 1 + gains)")
+    _draw_sensitivity(sensitivities, result)
+    if ax is None:
+        axes[0].figure.suptitle(result.conclusion(), fontsize=9, wrap=True)
+    return axes
 
 
 def _draw_objective(ax: Any, result: "Tuning", spent: np.ndarray, is_kept: np.ndarray) -> None:
@@ -79,7 +85,7 @@ def _draw_sensitivity(ax: Any, result: "Tuning") -> None:
 
 def plot_contour(made: "Landscape", path: Sequence["Evaluation"], ax: Any = None) -> Any:
     """Contours of the objective over two gains, where constraints are kept, and the path of a search."""
-    figure, ax = one_axes(ax, (8.5, 6.5))
+    ax = one_axes(ax, (8.5, 6.5))
     x, y = made.grids
     values = made.values[0].T
     finite = values[np.isfinite(values)]
@@ -87,7 +93,7 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"], ax: Any = None
     levels = np.geomspace(finite.min(), finite.max(), 25) if is_wide else np.linspace(finite.min(), finite.max(), 25)
     norm = "log" if is_wide else "linear"
     filled = ax.contourf(x, y, np.ma.masked_invalid(values), levels=levels, norm=norm, cmap="viridis")
-    figure.colorbar(filled, ax=ax, label=str(made.objectives[0]), format="%.3g")
+    ax.figure.colorbar(filled, ax=ax, label=str(made.objectives[0]), format="%.3g")
     ax.contourf(x, y, made.is_feasible.T.astype(float), levels=[-0.5, 0.5], colors="white", alpha=0.45, hatches=["//"])
     ax.plot([], [], "s", color="lightgrey", label="a constraint passed (hatched)")
     walks = [each for each in path if each.start >= 0]
@@ -106,12 +112,12 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"], ax: Any = None
     ax.set(xlabel=made.names[0], ylabel=made.names[1])
     ax.set_title("; ".join(map(str, made.constraints)) or "no constraints", fontsize=9)
     ax.legend(fontsize=8, loc="upper left")
-    return figure
+    return ax
 
 
 def plot_pareto(made: "Landscape", ax: Any = None) -> Any:
     """The second objective against the first over the grid: passed, dominated and efficient cells."""
-    figure, ax = one_axes(ax, (8.5, 6.0))
+    ax = one_axes(ax, (8.5, 6.0))
     points = made.values[:2].reshape(2, -1)
     kept, efficient = made.is_feasible.reshape(-1), made.is_efficient.reshape(-1)
     ax.plot(*points[:, ~kept], "x", color=RED, ms=4, alpha=0.5, label="a constraint passed")
@@ -126,7 +132,7 @@ def plot_pareto(made: "Landscape", ax: Any = None) -> Any:
             ax.set(**{f"{axis}scale": "log"})
     ax.set(xlabel=str(made.objectives[0]), ylabel=str(made.objectives[1]))
     ax.legend(fontsize=8)
-    return figure
+    return ax
 
 
 def _cycle(count: int) -> tuple[str, ...]:

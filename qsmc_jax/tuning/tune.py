@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.stats import qmc
 
-from qsmc_jax.base.checks import require, require_fraction
+from qsmc_jax.base.checks import require, require_count, require_fraction, require_list
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
 from qsmc_jax.study.study import Study
@@ -103,7 +103,9 @@ def tune(
         >>> tuned.gains, tuned.best.objective < tuned.before.objective
         ({'mu': 2.0}, True)
     """
-    require(runs >= 2, f"Argument `runs` must be at least 2, but is {runs}.")
+    require_count("runs", runs, 2)
+    require_list("parameters", parameters)
+    require_list("subject_to", subject_to)
     search, claim = (
         Search(method, steps, tolerance, starts, descents),
         Claim(certificate_runs, risk, confidence, designs),
@@ -133,7 +135,7 @@ class Search:
     descents: int
 
     def __post_init__(self):
-        require(self.steps >= 1, f"Argument `steps` must be at least 1, but is {self.steps}.")
+        require_count("steps", self.steps)
         fits = 1 <= self.descents <= self.starts
         require(fits, f"Argument `descents` must lie in [1, {self.starts}], the `starts`, but is {self.descents}.")
 
@@ -150,7 +152,7 @@ class Claim:
     def __post_init__(self):
         for name in ("risk", "confidence"):
             require_fraction(name, getattr(self, name))
-        require(self.designs >= 1, f"Argument `designs` must be at least 1, but is {self.designs}.")
+        require_count("designs", self.designs)
         require(self.runs >= 0, f"Argument `certificate_runs` must not be negative, but is {self.runs}.")
 
 

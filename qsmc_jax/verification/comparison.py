@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.base.checks import require, require_fraction
+from qsmc_jax.base.checks import require, require_count, require_fraction, require_kind
 from qsmc_jax.base.notebook import as_html
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
 from qsmc_jax.study.runs import Runs, concatenate
-from qsmc_jax.study.study import Study
+from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.comparison_plots import plot_comparison
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.simultaneous import each_of, median_interval
@@ -137,11 +137,19 @@ class Comparison:
         return dataclasses.asdict(self)
 
     def _repr_html_(self) -> str:
-        return as_html(str(self), self.plot())
+        return as_html(str(self), self.plot)
 
-    def plot(self) -> Any:
-        """The probability of leaving the funnel and the median of each figure, with their intervals."""
-        return plot_comparison(self)
+    def plot(self, ax: Any = None) -> Any:
+        """The probability of leaving the funnel and the median of each figure, with their intervals.
+
+        Args:
+            ax: One matplotlib `Axes` and one more for each of `metrics`; None for a new figure, which also gets a
+                heading.
+
+        Returns:
+            The axes, (1 + metrics,).
+        """
+        return plot_comparison(self, ax)
 
     def __str__(self) -> str:
         width = max(12, *(len(study.name) for study in self.studies))
@@ -224,7 +232,7 @@ def compare(
         >>> [(each.name, each.violated, round(each.high, 2)) for each in found.studies]
         [('right', 0, 0.08), ('wrong', 64, 1.0)]
     """
-    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+    require_count("runs", runs)
     require_fraction("confidence", confidence)
     _require_same_names(studies)
     settings, tables = settings or SolverSettings(), {}
@@ -251,7 +259,10 @@ def compare(
 
 def _require_same_names(studies: Mapping[str, Study]) -> None:
     """Raises unless the studies take the same coordinates for the same names."""
+    require_kind("studies", studies, Mapping, "Give each a name: {'mine': study, 'other': ...}.")
     require(len(studies) >= 1, "Argument `studies` must have at least one study, but is empty.")
+    for name, study in studies.items():
+        require_study(study, f"studies[{name!r}]")
     drawn = {name: tuple((s.name, s.shape) for s in study.specs if s.size) for name, study in studies.items()}
     (first, expected), *others = drawn.items()
     for name, found in others:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import SERIES, new_figure
+from qsmc_jax.base.plotting import SERIES, panels
 
 if TYPE_CHECKING:
     from qsmc_jax.verification.comparison import Comparison
@@ -25,31 +25,32 @@ _LABELS = {
 }
 
 
-def plot_comparison(result: "Comparison") -> Any:
+def plot_comparison(result: "Comparison", ax: Any = None) -> Any:
     """A panel for the violation probability and one for the median of each figure, a line a study in each.
 
     Args:
         result: What `compare` returned.
+        ax: One matplotlib `Axes` and one more for each figure; None for a new figure, which also gets a heading.
 
     Returns:
-        A matplotlib `Figure`; save it with `.savefig(path)`.
+        The axes, (1 + figures,).
     """
-    panels = 1 + len(result.metrics)
-    rows = -(-panels // _COLUMNS)
-    height = 1.1 + 0.32 * len(result.studies)
-    figure, axes = new_figure(rows, min(panels, _COLUMNS), (5.0 * min(panels, _COLUMNS), 0.6 + height * rows))
-    for ax in axes.flat[panels:]:
-        ax.set_visible(False)
-    _probability(axes.flat[0], result)
-    for ax, metric in zip(axes.flat[1:], result.metrics, strict=False):
-        _median(ax, result, metric)
-    for number, ax in enumerate(axes.flat[:panels]):
-        names = [study.name for study in result.studies] if number % _COLUMNS == 0 else []
-        ax.set_yticks(range(len(result.studies)), names or [""] * len(result.studies))
-        ax.set_ylim(len(result.studies) - 0.5, -0.5)
+    count, names = 1 + len(result.metrics), [study.name for study in result.studies]
+    columns, rows = min(count, _COLUMNS), -(-count // _COLUMNS)
+    axes = panels(ax, count, columns, (5.0 * columns, 0.6 + (1.1 + 0.32 * len(names)) * rows))
+    _probability(axes[0], result)
+    for each, metric in zip(axes[1:], result.metrics, strict=True):
+        _median(each, result, metric)
+    for number, each in enumerate(axes):
+        # In a new figure the rows of panels share the names; where given axes stand is not known.
+        is_named = ax is not None or number % columns == 0
+        each.set_yticks(range(len(names)), names if is_named else [""] * len(names))
+        each.set_ylim(len(names) - 0.5, -0.5)
     sure = f"all {result.intervals} intervals hold together with {100 * result.confidence:g} % confidence"
-    figure.suptitle(f"{result.runs} runs of each on the same random numbers, seed {result.seed}; {sure}", fontsize=10)
-    return figure
+    if ax is None:
+        heading = f"{result.runs} runs of each on the same random numbers, seed {result.seed}; {sure}"
+        axes[0].figure.suptitle(heading, fontsize=10)
+    return axes
 
 
 def _probability(ax: Any, result: "Comparison") -> None:

@@ -13,7 +13,7 @@ from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
-from qsmc_jax.study.study import Study
+from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.critical_result import CriticalTest, CriticalValue, Side
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.simultaneous import each_of
@@ -107,6 +107,7 @@ def critical_value(
         >>> found.side, found.shown, found.not_shown
         ('largest', 0.25, 0.5)
     """
+    require_study(study)
     require(side is None or side in get_args(Side), f"Argument `side` must be one of {[*get_args(Side)]}.")
     require(steps >= 0, f"Argument `steps` must not be negative, but is {steps}.")
     ends = _ends(study, name, between)

@@ -21,9 +21,9 @@ def plot_critical(result: "CriticalValue", ax: Any = None) -> Any:
         ax: Matplotlib `Axes` to draw in; None for a new figure.
 
     Returns:
-        A matplotlib `Figure`; save it with `.savefig(path)`.
+        The axes.
     """
-    figure, ax = one_axes(ax, (8.0, 5.4))
+    ax = one_axes(ax, (8.0, 5.4))
     table = result.table()
     estimate = table["violated"] / np.maximum(table["runs"] - table["inadmissible"], 1)
     reach = np.abs([estimate - table["low"], table["high"] - estimate])
@@ -44,4 +44,4 @@ def plot_critical(result: "CriticalValue", ax: Any = None) -> Any:
     sure = f"all findings right together with {100 * result.confidence:g} % confidence"
     ax.set_title(f"{len(result.tests)} tests, {result.runs} runs, seed {result.seed}; {sure}", fontsize=10)
     ax.legend(loc="best", fontsize=8)
-    return figure
+    return ax

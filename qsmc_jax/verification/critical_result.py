@@ -159,13 +159,16 @@ class CriticalValue:
         }
 
     def _repr_html_(self) -> str:
-        return as_html(str(self), self.plot())
+        return as_html(str(self), self.plot)
 
     def plot(self, ax: Any = None) -> Any:
         """Every test with its interval, and the probability that was to be shown.
 
         Args:
             ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+        Returns:
+            The axes.
         """
         return plot_critical(self, ax)
 

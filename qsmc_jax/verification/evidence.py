@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from qsmc_jax.base.checks import require, require_fraction
+from qsmc_jax.base.checks import require_count, require_fraction, require_kind
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
@@ -15,6 +15,7 @@ from qsmc_jax.verification.anytime import confidence_sequence
 from qsmc_jax.verification.ladder import firmer, is_doubtful
 from qsmc_jax.verification.result import Claim, NumericalError, Verification
 from qsmc_jax.verification.statistics import clopper_pearson
+from qsmc_jax.verification.stopping import AbstractRule
 from qsmc_jax.verification.summary import Summary
 
 _STATEMENTS = {
@@ -110,11 +111,13 @@ class Evidence:
         )
 
 
-def check_request(runs: int, confidence: float, worst: int) -> None:
-    """Raises unless so many runs can be made, and reported so."""
-    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+def check_request(runs: int, confidence: float, worst: int, until: AbstractRule | None) -> None:
+    """Raises unless so many runs can be made, stopped by such a rule, and reported so."""
+    if until is not None:
+        require_kind("until", until, AbstractRule, "Use one of `qj.stopping`, such as `UntilBelow(1e-3)`.")
+    require_count("runs", runs)
     require_fraction("confidence", confidence)
-    require(worst >= 1, f"Argument `worst` must be at least 1, but is {worst}.")
+    require_count("worst", worst)
 
 
 def _claim(

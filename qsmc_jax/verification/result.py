@@ -184,15 +184,27 @@ class Verification:
 
         Args:
             ax: Matplotlib `Axes` to draw in; None for a new figure.
+
+        Returns:
+            The axes.
         """
         return plot_margin(self, ax)
 
     def _repr_html_(self) -> str:
-        return as_html(str(self), self.plot_margin())
+        return as_html(str(self), self.plot_margin)
 
-    def plot(self) -> Any:
-        """The funnel with bands of the runs and the worst run, and the distributions of margin and reach time."""
-        return plot_verification(self)
+    def plot(self, ax: Any = None) -> Any:
+        """The funnel with bands of the runs and the worst run, and the distributions of margin and reach time.
+
+        Solves 64 runs and the worst one again to draw them.
+
+        Args:
+            ax: Three matplotlib `Axes` to draw in; None for a new figure, which also gets a heading.
+
+        Returns:
+            The axes, (3,).
+        """
+        return plot_verification(self, ax)
 
     def plan(self, probability: float) -> int:
         """Runs needed, without a violation, to bound the violation probability by `probability` at this confidence.

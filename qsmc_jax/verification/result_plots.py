@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, new_figure, one_axes
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, one_axes, panels
 from qsmc_jax.verification.summary import Histogram
 
 if TYPE_CHECKING:
@@ -15,23 +15,25 @@ _BAND_TIMES = 1001
 _BANDS = ((0.0, 1.0), (0.05, 0.95), (0.25, 0.75))
 
 
-def plot_verification(result: "Verification") -> Any:
+def plot_verification(result: "Verification", ax: Any = None) -> Any:
     """The funnel with bands of the runs and the worst run, the histogram of the margin, and that of the reach time.
 
     Solves 64 runs and the worst one again to draw them.
 
     Args:
         result: What `verify` returned.
+        ax: Three matplotlib `Axes` to draw in, in reading order; None for a new figure, which also gets a heading.
 
     Returns:
-        A matplotlib `Figure`; save it with `.savefig(path)`.
+        The axes, (3,): funnel, margin, reach time.
     """
-    figure, axes = new_figure(1, 3, (15.0, 4.8))
-    _funnel(axes[0, 0], result)
-    _margin(axes[0, 1], result.margin, result)
-    _reach(axes[0, 2], result.reach, result)
-    figure.suptitle(f"{result.verdict.name}: {result.runs} runs, seed {result.seed}")
-    return figure
+    axes = panels(ax, 3, 3, (15.0, 4.8))
+    _funnel(axes[0], result)
+    _margin(axes[1], result.margin, result)
+    _reach(axes[2], result.reach, result)
+    if ax is None:
+        axes[0].figure.suptitle(f"{result.verdict.name}: {result.runs} runs, seed {result.seed}")
+    return axes
 
 
 def plot_margin(result: "Verification", ax: Any = None) -> Any:
@@ -42,11 +44,11 @@ def plot_margin(result: "Verification", ax: Any = None) -> Any:
         ax: Matplotlib `Axes` to draw in; None for a new figure.
 
     Returns:
-        Its matplotlib `Figure`.
+        The axes.
     """
-    figure, ax = one_axes(ax, (6.0, 3.2))
+    ax = one_axes(ax, (6.0, 3.2))
     _margin(ax, result.margin, result)
-    return figure
+    return ax
 
 
 def _funnel(ax: Any, result: "Verification") -> None:

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from qsmc_jax.base.checks import require, require_finite, require_fraction
+from qsmc_jax.base.checks import require, require_count, require_finite, require_fraction
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
-from qsmc_jax.study.study import Study
+from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.limits import Threshold, limits
 from qsmc_jax.verification.robustness_plots import plot_map
@@ -154,20 +154,25 @@ class RobustnessMap:
         return as_dataset({**found, **medians}, dict(zip(self.names, self.grids, strict=True)), attributes)
 
     def _repr_html_(self) -> str:
-        return as_html(str(self), self.plot())
+        return as_html(str(self), self.plot)
 
-    def plot(self, dimensionless: bool = False) -> Any:
+    def plot(self, dimensionless: bool = False, ax: Any = None) -> Any:
         """The probability of leaving the funnel over the grid, and the medians, with the thresholds as lines.
 
         Args:
             dimensionless: Whether to multiply the values by their `scales`; a name that has none keeps its units.
+            ax: One matplotlib `Axes` and one more for each known median; None for a new figure, which also gets a
+                heading.
+
+        Returns:
+            The axes, (1 + known medians,).
 
         Raises:
             ValueError: No name has a scale.
         """
         has_scale = any(name in self.scales for name in self.names)
         require(has_scale or not dimensionless, "Argument `dimensionless` must be False for a map without `scales`.")
-        return plot_map(self, self.scales if dimensionless else {})
+        return plot_map(self, self.scales if dimensionless else {}, ax)
 
     def __str__(self) -> str:
         cells = self.funnel.held.size
@@ -231,7 +236,8 @@ def robustness_map(
         >>> found.funnel.violated.tolist(), found.high.round(2).tolist()
         ([0, 64], [0.07, 1.0])
     """
-    require(runs >= 1, f"Argument `runs` must be at least 1, but is {runs}.")
+    require_study(study)
+    require_count("runs", runs)
     require_fraction("confidence", confidence)
     require(1 <= len(over) <= 2, f"Argument `over` must have one or two names, but has {len(over)}.")
     names, grids = tuple(over), tuple(_grid(study, name, values) for name, values in over.items())

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, new_figure
+from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, panels
 from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.verification.statistics import zero_failure_bound
 
@@ -29,35 +29,35 @@ _WIDEST_FOR_LOG = 0.05
 _CLEAR = 1.5
 
 
-def plot_map(result: "RobustnessMap", scales: Scales) -> Any:
+def plot_map(result: "RobustnessMap", scales: Scales, ax: Any = None) -> Any:
     """The probability of leaving the funnel over one name or two, and the medians of what else is known.
 
     Args:
         result: What `robustness_map` returned.
         scales: Factor and label of the axes that are to be dimensionless.
+        ax: One matplotlib `Axes` and one more for each known median; None for a new figure, which also gets a heading.
 
     Returns:
-        A matplotlib `Figure`; save it with `.savefig(path)`.
+        The axes, (1 + known medians,).
     """
     medians = {name: values for name, values in result.medians.items() if np.isfinite(values).any()}
-    panels = 1 + len(medians)
-    columns = min(panels, 2)
-    figure, axes = new_figure(-(-panels // columns), columns, (7.0 * columns, 5.2 * -(-panels // columns)))
+    count = 1 + len(medians)
+    columns = min(count, 2)
+    axes = panels(ax, count, columns, (7.0 * columns, 5.2 * -(-count // columns)))
     draw = (_curve, _median_curve) if len(result.names) == 1 else (_mesh, _median_mesh)
-    draw[0](axes.flat[0], result, scales)
-    for ax, (name, values) in zip(axes.flat[1:], medians.items(), strict=False):
-        draw[1](ax, result, scales, name, values)
-    for ax in axes.flat[:panels]:
-        _thresholds(ax, result, scales)
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(loc="best", fontsize=8)
-    for ax in axes.flat[panels:]:
-        ax.set_visible(False)
+    draw[0](axes[0], result, scales)
+    for each, (name, values) in zip(axes[1:], medians.items(), strict=True):
+        draw[1](each, result, scales, name, values)
+    for each in axes:
+        _thresholds(each, result, scales)
+        if each.get_legend_handles_labels()[0]:
+            each.legend(loc="best", fontsize=8)
     sure = f"intervals hold together with {100 * result.confidence:g} % confidence"
     lines = "; lines: limits of the nominal run" if result.thresholds else ""
-    title = f"{result.runs} runs in each of {result.low.size} cells, seed {result.seed}; {sure}{lines}"
-    figure.suptitle(title, fontsize=10)
-    return figure
+    if ax is None:
+        heading = f"{result.runs} runs in each of {result.low.size} cells, seed {result.seed}; {sure}{lines}"
+        axes[0].figure.suptitle(heading, fontsize=10)
+    return axes
 
 
 def _curve(ax: Any, result: "RobustnessMap", scales: Scales) -> None:

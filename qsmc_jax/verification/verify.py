@@ -11,7 +11,7 @@ from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
-from qsmc_jax.study.study import Study
+from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.decided import part_of, through
 from qsmc_jax.verification.evidence import Effort, Evidence, check_request
 from qsmc_jax.verification.ladder import Ladder
@@ -74,7 +74,8 @@ def verify(
         >>> print(qj.verify(study, runs=64, block=64).conclusion())
         HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
-    check_request(runs, confidence, worst)
+    require_study(study)
+    check_request(runs, confidence, worst, until)
     settings, sampling = settings or SolverSettings(), sampling or Random()
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)

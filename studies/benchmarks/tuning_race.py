@@ -20,7 +20,7 @@ import numpy as np
 from scipy import optimize
 
 import qsmc_jax as qj
-from qsmc_jax.base.plotting import BLUE, GREEN, ORANGE, new_figure
+from qsmc_jax.base.plotting import BLUE, GREEN, ORANGE, one_axes
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.tuning.batch import Batch, Evaluation
@@ -145,9 +145,8 @@ def print_table(races: dict[int, dict[str, Curve]]) -> None:
 
 
 def plot(races: dict[int, dict[str, Curve]]) -> Any:
-    """Best so far against simulations: every seed thin, the median thick."""
-    figure, axes = new_figure(1, 1, (7.0, 4.5))
-    ax = axes[0, 0]
+    """Best so far against simulations: every seed thin, the median thick. The axes."""
+    ax = one_axes(None, (7.0, 4.5))
     for name, colour in COLOURS.items():
         curves = [each[name] for each in races.values()]
         for each in curves:
@@ -158,7 +157,7 @@ def plot(races: dict[int, dict[str, Curve]]) -> Any:
     ax.plot([], [], color="black", alpha=0.35, linewidth=0.8, label="single seeds")
     ax.set(xscale="log", xlabel="simulations spent [runs]", ylabel="best feasible mean total variation of u [N m]")
     ax.legend()
-    return figure
+    return ax
 
 
 def main() -> None:
@@ -173,7 +172,7 @@ def main() -> None:
     print_table(races)
     if options.out is not None:
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        plot(races).savefig(options.out, dpi=150)
+        plot(races).figure.savefig(options.out, dpi=150)
 
 
 if __name__ == "__main__":

@@ -42,6 +42,8 @@ class AbstractDisturbance(AbstractModule):
     # NumPy scalars would otherwise try to multiply by the object entry by entry, and never ask `__rmul__`.
     __array_ufunc__: ClassVar[None] = None
 
+    remedy: ClassVar[str] = "Use one of `qj.disturbances`, or derive from `qj.AbstractDisturbance`."
+
     @abc.abstractmethod
     def __call__(self, t: RealScalarLike) -> RealScalarLike:
         """The disturbance at time `t` [s], a scalar in units of the last state per second.

@@ -10,7 +10,7 @@ from itertools import count
 import numpy as np
 from scipy.special import pdtrc
 
-from qsmc_jax.base.checks import is_traced, require, require_positive
+from qsmc_jax.base.checks import is_traced, require, require_count, require_positive
 from qsmc_jax.base.types import Draw, RealScalarLike
 from qsmc_jax.model.disturbances.switching import SmoothSteps, Telegraph
 from qsmc_jax.model.disturbances.waveforms import BandLimitedNoise, Sine, SumOfSines
@@ -247,4 +247,4 @@ def _checked_range(frequencies: tuple[float, float]) -> tuple[float, float]:
 
 
 def _require_count(name: str, value: int) -> None:
-    require(value >= 1, f"Argument `{name}` must be at least 1, but is {value}.")
+    require_count(name, value)
