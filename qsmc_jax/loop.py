@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.module import AbstractModule, require_parts
-from qsmc_jax.base.traceable import traceable
+from qsmc_jax.base.traceable import described, is_number, trace
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.law import QuasiSlidingControl
@@ -61,8 +61,8 @@ class ClosedLoop(AbstractModule):
         implementation: How the controller is implemented; None for the ideal loop.
 
     Raises:
-        ValueError: The surface does not have n - 1 coefficients, or the plant's drift or gain is not one number, or
-            a law that the paper does not treat has no implementation. Whether an implementation fits the order and the
+        ValueError: The surface does not have n - 1 coefficients, or the reference has not n derivatives, or a law that
+            the paper does not treat has no implementation. Whether an implementation fits the order and the
             horizon is checked where there is one: by `Scenario` and `simulate`.
 
     Examples:
@@ -94,9 +94,7 @@ class ClosedLoop(AbstractModule):
             f"Argument `c` of the sliding surface must have {order - 1} coefficients for a plant of order {order}, but "
             f"has {has - 1}. `SlidingSurface.binomial(a, {order})` makes a fitting one.",
         )
-        for method in ("drift", "gain"):
-            _require_scalar(self.plant, method)
-        _require_signals(self.reference, self.disturbance, order)
+        _require_derivatives(self.reference, order)
         require(
             self.implementation is not None or isinstance(self.control, QuasiSlidingControl),
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: without one, only the "
@@ -202,53 +200,15 @@ class ClosedLoop(AbstractModule):
     @property
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
-        plan = self.implementation
-        return (
-            self.disturbance.break_times
-            if plan is None
-            else jnp.concatenate([self.disturbance.break_times, plan.break_times])
-        )
+        parts = [self.plant, self.disturbance, self.implementation]
+        return jnp.concatenate([jnp.asarray(part.break_times, float) for part in parts if part is not None])
 
 
-def _require_scalar(plant: AbstractPlant, method: str) -> None:
-    """Raises unless a method of the plant takes a time and a state of its order, and returns one number."""
-    name, order = f"`{method}` of `{type(plant).__name__}`", plant.order
-    number = jax.ShapeDtypeStruct((), float)
-    try:
-        with jax.enable_x64(True), traceable(name, "the state"):
-            result = jax.eval_shape(getattr(plant, method), number, (number,) * order)
-    except (IndexError, TypeError) as error:
-        raise ValueError(
-            f"{name} must take `self`, a time and a state of {order} numbers, x[0] ... x[{order - 1}], but calling it "
-            f"says: {error}."
-        ) from error
+def _require_derivatives(reference: AbstractReference, order: int) -> None:
+    """Raises unless the reference has its derivatives up to the order, each one number."""
+    name, time = f"`derivatives` of `{type(reference).__name__}`", jax.ShapeDtypeStruct((), float)
+    result = trace(name, "the time", lambda t: reference.derivatives(t, order), time)[1]
     require(
-        _is_number(result),
-        f"{name} must return one number, but returns {_described(result)}. Index the state: x[0] ... x[{order - 1}].",
+        isinstance(result, tuple) and len(result) == order + 1 and all(map(is_number, result)),
+        f"{name} must return {order + 1} numbers for order {order}, but returns {described(result)}.",
     )
-
-
-def _require_signals(reference: AbstractReference, disturbance: AbstractDisturbance, order: int) -> None:
-    """Raises unless the disturbance is one number at a time, and the reference has its derivatives up to the order."""
-    time = jax.ShapeDtypeStruct((), float)
-    name = f"`{type(disturbance).__name__}`, the disturbance,"
-    with jax.enable_x64(True), traceable(name, "the time"):
-        result = jax.eval_shape(disturbance, time)
-    require(_is_number(result), f"{name} must return one number at a time, but returns {_described(result)}.")
-    name = f"`derivatives` of `{type(reference).__name__}`"
-    with jax.enable_x64(True), traceable(name, "the time"):
-        result = jax.eval_shape(lambda t: reference.derivatives(t, order), time)
-    require(
-        isinstance(result, tuple) and len(result) == order + 1 and all(map(_is_number, result)),
-        f"{name} must return {order + 1} numbers for order {order}, but returns {_described(result)}.",
-    )
-
-
-def _is_number(result: Any) -> bool:
-    return getattr(result, "shape", None) == ()
-
-
-def _described(result: Any) -> str:
-    if isinstance(result, tuple | list):
-        return f"{len(result)} of them: {', '.join(map(_described, result))}"
-    return f"shape {result.shape}" if hasattr(result, "shape") else type(result).__name__

@@ -19,7 +19,7 @@ FUNNEL = qj.Funnel(rho0=1.0, mu=1.0, rho_inf=0.1)
 
 
 class Troubled(qj.AbstractPlant):
-    """f jumps by `height` at `jump`, unannounced, and is NaN from `end` on; g is constant."""
+    """f jumps by `height` at `jump`, which it does not announce, and is NaN from `end` on; g is constant."""
 
     jump: Float[Array, ""] = float_field(default=math.inf)
     height: Float[Array, ""] = float_field(default=0.0)
@@ -32,6 +32,10 @@ class Troubled(qj.AbstractPlant):
 
     def gain(self, t, x):
         return self.strength
+
+    @property
+    def break_times(self):
+        return [math.inf]
 
 
 def simulate(x0=0.3, t1=5.0, funnel=FUNNEL, **plant):

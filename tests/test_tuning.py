@@ -153,6 +153,10 @@ class Jumping(qj.AbstractPlant):
     def gain(self, t, x):
         return 1.0
 
+    @property
+    def break_times(self):
+        return [np.inf]
+
 
 def refused(kind, draw):
     mu = draw.parameter("mu", 1.0, bounds=(0.5, 2.0))

@@ -4,12 +4,15 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.model.kinks import require_declared
 
 
 class AbstractPlant(AbstractModule):
@@ -37,6 +40,30 @@ class AbstractPlant(AbstractModule):
     remedy: ClassVar[str] = "Derive from `qj.AbstractPlant`, or use one of `qj.plants`."
 
     order: eqx.AbstractClassVar[int]
+
+    @once_per_structure
+    def __check_init__(self):
+        number = jax.ShapeDtypeStruct((), float)
+        index = f"Index the state: x[0] ... x[{self.order - 1}]."
+        for method in ("drift", "gain"):
+            name = f"`{method}` of `{type(self).__name__}`"
+            try:
+                program, result = trace(name, "the state", getattr(self, method), number, (number,) * self.order)
+            except (IndexError, TypeError) as error:
+                raise ValueError(
+                    f"{name} must take `self`, a time and a state of {self.order} numbers, but calling it says: "
+                    f"{error}. {index}"
+                ) from error
+            require_number(name, result, index)
+            require_declared(name, program, (True, *(False,) * self.order), self.break_times)
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        """Times [s] at which drift or gain jumps or kinks as a function of time; the solver steps to them.
+
+        None here; a plant that changes at some time has its own. Their number is fixed when traced.
+        """
+        return jnp.zeros((0,))
 
     @abc.abstractmethod
     def drift(self, t: RealScalarLike, x: State) -> RealScalarLike:

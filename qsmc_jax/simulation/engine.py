@@ -91,7 +91,7 @@ def _solve_ideal(
         y0=run0,
         args=problem,
         saveat=_saveat(times),
-        stepsize_controller=controller(problem.loop.disturbance.break_times, horizon),
+        stepsize_controller=controller(problem.loop.break_times, horizon),
         max_steps=settings.max_steps,
         adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(CHECKPOINTS),
         throw=False,

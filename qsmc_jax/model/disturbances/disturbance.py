@@ -5,12 +5,15 @@ import functools as ft
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_finite
 from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.model.kinks import require_declared
 
 
 class AbstractDisturbance(AbstractModule):
@@ -43,6 +46,13 @@ class AbstractDisturbance(AbstractModule):
     __array_ufunc__: ClassVar[None] = None
 
     remedy: ClassVar[str] = "Use one of `qj.disturbances`, or derive from `qj.AbstractDisturbance`."
+
+    @once_per_structure
+    def __check_init__(self):
+        name = f"`{type(self).__name__}`, a disturbance,"
+        program, result = trace(name, "the time", self, jax.ShapeDtypeStruct((), float))
+        require_number(name, result)
+        require_declared(name, program, (True,), self.break_times)
 
     @abc.abstractmethod
     def __call__(self, t: RealScalarLike) -> RealScalarLike:

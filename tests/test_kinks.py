@@ -1,0 +1,123 @@
+"""Jumps in time: those that nobody declared are refused, and declared ones of a plant are met, however short."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import qsmc_jax as qj
+from qsmc_jax.base.traceable import trace
+from qsmc_jax.model.kinks import require_declared
+
+SINE = qj.references.SumOfSines([0.3], [1.0])
+WIDTH, HEIGHT, AT = 1e-3, 400.0, 2.0
+
+
+def knots(t):
+    return jnp.interp(t, jnp.array([0.0, 1.0]), jnp.array([0.0, 1.0]))
+
+
+JUMPING = {
+    "where": lambda t: jnp.where(t < 1.0, 0.0, 1.0),
+    "inside jit": jax.jit(lambda t: jnp.where(2.0 * t >= 1.0, 0.0, 1.0)),
+    "sign": lambda t: jnp.sign(jnp.sin(t)),
+    "floor": jnp.floor,
+    "remainder": lambda t: jnp.mod(t, 1.0),
+    "to an integer": lambda t: jnp.asarray(jnp.asarray(t, int), float),
+    "cond": lambda t: jax.lax.cond(t < 1.0, jnp.sin, jnp.cos, t),
+    "inside a branch": lambda t: jax.lax.switch(0, [jnp.sin, lambda s: jnp.where(s < 1.0, 0.0, 1.0)], t),
+    "interpolation": knots,
+}
+QUIET = {
+    "sine": jnp.sin,
+    "constant": lambda t: 1.0,
+    "kink": lambda t: jnp.abs(t - 1.0),
+    "clipped": lambda t: jnp.clip(t, 0.0, 1.0),
+    "sinc": jnp.sinc,
+    "softplus": jax.nn.softplus,
+    "constants compared": lambda t: t * jnp.where(jnp.asarray(2.0) < 1.0, 0.0, 1.0),
+    "nothing compared": lambda t: jnp.sum(jnp.where(t < jnp.zeros(0), 1.0, 0.0)),
+}
+
+
+def program(function, *shapes):
+    return trace("It", "time", function, *(jax.ShapeDtypeStruct(shape, float) for shape in shapes))[0]
+
+
+@pytest.mark.parametrize("function", JUMPING.values(), ids=JUMPING)
+def test_what_may_jump_needs_a_declared_time(function):
+    with pytest.raises(ValueError, match=r"It may jump in time, .* or \[inf\] if it has none"):
+        require_declared("It", program(function, ()), (True,), [])
+    require_declared("It", program(function, ()), (True,), [1.0])
+
+
+@pytest.mark.parametrize("function", QUIET.values(), ids=QUIET)
+def test_what_does_not_jump_needs_none(function):
+    require_declared("It", program(function, ()), (True,), [])
+
+
+def test_jumps_in_the_state_are_no_jumps_in_time():
+    """Dry friction: the solver's error control sees it, since it goes through the state."""
+    friction = program(lambda t, x: jnp.sin(t) - jnp.sign(x), (), ())
+    require_declared("It", friction, (True, False), [])
+    with pytest.raises(ValueError, match="`sign`"):
+        require_declared("It", friction, (True, True), [])
+
+
+class Kicked(qj.AbstractPlant):
+    """An integrator that is pushed for a millisecond, and says so."""
+
+    height: float
+    order = 1
+
+    def drift(self, t, x):
+        return jnp.where((t >= AT) & (t < AT + WIDTH), self.height, 0.0)
+
+    def gain(self, t, x):
+        return 1.0
+
+    @property
+    def break_times(self):
+        return [AT, AT + WIDTH]
+
+
+def kicked(implementation=None):
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.5))
+    return qj.ClosedLoop(Kicked(HEIGHT), SINE, qj.disturbances.Zero(), control, implementation)
+
+
+def rho(t):
+    return 2.0 * np.exp(-t) + 0.5
+
+
+def test_a_push_of_a_millisecond_that_a_plant_declares_is_met():
+    """Against SciPy, which is started anew at the push and after it."""
+
+    def rate(push):
+        return lambda t, x: push - np.tan(0.5 * np.pi * (x - 0.3 * np.sin(t)) / rho(t))
+
+    x, peak = [0.1], 0.0
+    for start, end, push in ((0.0, AT, 0.0), (AT, AT + WIDTH, HEIGHT), (AT + WIDTH, 5.0, 0.0)):
+        piece = solve_ivp(rate(push), (start, end), x, method="LSODA", rtol=1e-11, atol=1e-13, dense_output=True)
+        ts = np.linspace(start, end, 20_001)
+        peak = max(peak, np.max(np.abs(piece.sol(ts)[0] - 0.3 * np.sin(ts)) / rho(ts)))
+        x = piece.y[:, -1]
+    run = qj.simulate(kicked(), [0.1], 5.0)
+    assert peak > 0.5  # the push is what decides
+    assert float(run.figures.peak_ratio) == pytest.approx(peak, rel=1e-5)
+    assert float(run.figures.peak_time) == pytest.approx(AT + WIDTH, abs=1e-6)
+
+
+def test_a_sampled_loop_meets_it_too():
+    """Between samples the input is constant, and the state is known in closed form."""
+    period, x, peak = 0.01, 0.1, 0.0
+    for k in range(500):
+        start = k * period
+        u = -np.tan(0.5 * np.pi * (x - 0.3 * np.sin(start)) / rho(start))
+        ts = start + np.linspace(0.0, period, 2001)
+        xs = x + u * (ts - start) + HEIGHT * (np.clip(ts, AT, AT + WIDTH) - np.clip(start, AT, AT + WIDTH))
+        peak, x = max(peak, np.max(np.abs(xs - 0.3 * np.sin(ts)) / rho(ts))), xs[-1]
+    run = qj.simulate(kicked(qj.Implementation(period)), [0.1], 5.0)
+    assert peak > 0.5
+    assert float(run.figures.peak_ratio) == pytest.approx(peak, rel=1e-5)
