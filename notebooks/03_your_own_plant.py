@@ -168,6 +168,55 @@ class WrongShape(qj.AbstractPlant):
 attempt(lambda: qj.ClosedLoop(WrongShape(), reference, wind, control))
 
 # %% [markdown]
+# **NumPy in place of `jax.numpy`.** JAX runs a plant with stand-ins for numbers, which NumPy does not know. The same
+# goes for a Python `if` on the state, and for numbers that a study draws.
+
+
+# %%
+class Plain(qj.AbstractPlant):
+    """A crane written with NumPy."""
+
+    order: ClassVar[int] = 2
+
+    def drift(self, t, x):
+        """Gravity [rad/s^2]."""
+        return -4.9 * np.sin(x[0])
+
+    def gain(self, t, x):
+        """The gain [1/m]."""
+        return -0.5
+
+
+attempt(lambda: qj.ClosedLoop(Plain(), reference, wind, control))
+
+# %% [markdown]
+# **A function where a model belongs.** A reference has derivatives, a disturbance a bound: both are objects.
+
+# %%
+attempt(lambda: qj.ClosedLoop(Crane(2.0, 0.1), jnp.sin, wind, control))
+
+# %% [markdown]
+# **A jump that nobody declared.** A solver steps over what it is not told of: give the class its `break_times`.
+
+
+# %%
+class Cut(qj.AbstractPlant):
+    """A crane whose rope is cut to half its length at 5 s."""
+
+    order: ClassVar[int] = 2
+
+    def drift(self, t, x):
+        """Gravity [rad/s^2]."""
+        return jnp.where(t < 5.0, -4.9, -9.8) * jnp.sin(x[0])
+
+    def gain(self, t, x):
+        """The gain [1/m]."""
+        return -0.5
+
+
+attempt(Cut)
+
+# %% [markdown]
 # **A reference with a step.** It has no derivative there, and the law needs $n - 1$ of them.
 
 # %%
@@ -201,9 +250,9 @@ attempt(lambda: told(broken))
 print("least of gain_sign * g:", float(broken.figures.least_gain))
 
 # %% [markdown]
-# **A jump that nobody declared.** This one is the worst: nothing is said. Let something hit the load at 5 s, for a
-# millisecond. A disturbance of your own has `break_times`, to which the solver steps. Leave them out, and a step may
-# pass over the blow.
+# **A jump that is declared at the wrong time.** This one is the worst: nothing is said. Let something hit the load at
+# 5 s, for a millisecond. A disturbance of your own has `break_times`, to which the solver steps. With none at all it is
+# refused, as the plant above was; but with a wrong one, a step may pass over the blow.
 
 
 # %%
@@ -229,11 +278,11 @@ class Blow(qj.AbstractDisturbance):
 
 
 figure, ax = plt.subplots(figsize=(8, 3.6), layout="constrained")
-for declared, label in ((5.0, "declared"), (np.inf, "not declared")):
+for declared, label in ((5.0, "declared at 5 s"), (7.0, "declared at 7 s")):
     hit = qj.ClosedLoop(Crane(2.0, 0.1), reference, Blow(100.0, declared), control)
     blow = qj.simulate(hit, x0=[0.4, 0.0], t1=15.0, ts=np.linspace(4.95, 5.15, 401))
     peak = blow.figures
-    print(f"{label:13} sup |sigma|/rho {float(peak.peak_ratio):.4f} at {float(peak.peak_time):.4f} s")
+    print(f"{label:16} sup |sigma|/rho {float(peak.peak_ratio):.4f} at {float(peak.peak_time):.4f} s")
     ax.plot(blow.ts, np.abs(blow.sigma) / blow.rho, label=label)
 ax.set(ylim=(0.0, 1.05), xlabel="t [s]", ylabel=r"$|\sigma| / \rho$ [-]", title="A blow of 1 ms at 5 s")
 ax.legend()
@@ -241,4 +290,4 @@ plt.show()
 
 # %% [markdown]
 # What stands in `qj.disturbances` declares its jumps: build from `Piecewise`, `Telegraph` and `SmoothSteps` where you
-# can. A plant has no `break_times`: keep its drift and its gain smooth in time, or put the jump into the disturbance.
+# can. A plant that changes at some time declares it in the same way.

@@ -116,8 +116,8 @@ plt.show()
 # ## The landscape
 #
 # With two gains one can look at the whole of it: the objective as contours, where the constraints are kept, and the
-# path of the search. Each cell is solved on the same runs. The star is the best point met in training, which need not
-# be the one that was certified.
+# path of the search. Each cell is solved on the same runs. The star is what was chosen and certified, which need not be
+# the best point met in training.
 
 # %%
 landscape = qj.landscape(
@@ -130,7 +130,7 @@ landscape = qj.landscape(
     runs=16 if small else 64,
     mark={"paper": {"mu": 3.0, "rho_inf": 0.05}, "tuned": tuned.gains},
 )
-ax = landscape.plot(tuned.history)
+ax = landscape.plot(tuned)
 
 # %% [markdown]
 # A quiet input and a small error are not to be had together. The efficient gains, which no others beat in both, are

@@ -1,5 +1,6 @@
 """Tuning: optima known from elsewhere, certificates by counting, and studies that must be refused."""
 
+import dataclasses
 import functools as ft
 
 import jax.numpy as jnp
@@ -242,3 +243,13 @@ def test_the_landscape_has_the_closed_form_and_its_efficient_cells():
     front, contour = draws_in_given_axes(made.plot_pareto), draws_in_given_axes(made.plot)
     assert (front.get_xlabel(), front.get_ylabel()) == ("mean(energy_u)", "mean(rms_error)")
     assert (contour.get_xlabel(), contour.get_ylabel()) == ("rho0", "gain")
+    tuned = qj.tune(study, ["gain", "rho0"], "mean(energy_u)", **QUICK)
+    *_, star, own = made.plot(tuned).lines
+    assert (star.get_label(), *star.get_xydata()[0]) == (
+        "chosen, not certified",
+        tuned.gains["rho0"],
+        tuned.gains["gain"],
+    )
+    assert tuple(own.get_xydata()[0]) == (10.0, 1.0)  # the defaults
+    with pytest.raises(ValueError, match="`tuned` must have tuned rho0 and gain"):
+        made.plot(dataclasses.replace(tuned, parameters=("gain",)))

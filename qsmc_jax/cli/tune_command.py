@@ -146,6 +146,6 @@ def _draw(add: Callable[[str, Callable[[], Any]], None], result: "Tuning", drawn
             mark={"before": result.before.gains, "tuned": result.gains},
             **drawn,
         )
-        add("landscape.png", partial(made.plot, result.history))
+        add("landscape.png", partial(made.plot, result))
         if drawn["against"] is not None:
             add("pareto.png", made.plot_pareto)

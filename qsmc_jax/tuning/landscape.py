@@ -11,9 +11,10 @@ from qsmc_jax.base.checks import require, require_list
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.study.study import Study
-from qsmc_jax.tuning.batch import KEPT, Batch, Evaluation
+from qsmc_jax.tuning.batch import KEPT, Batch
 from qsmc_jax.tuning.box import box_of
 from qsmc_jax.tuning.objectives import Constraint, Objective, parse_constraint, parse_objective
+from qsmc_jax.tuning.result import Tuning
 from qsmc_jax.tuning.result_plots import plot_contour, plot_pareto
 
 
@@ -62,17 +63,19 @@ class Landscape:
         efficient = ~np.any(no_worse & better, axis=1) & np.isfinite(points).all(axis=1)
         return efficient.reshape(self.is_feasible.shape)
 
-    def plot(self, path: Sequence[Evaluation] = (), ax: Any = None) -> Any:
+    def plot(self, tuned: Tuning | None = None, ax: Any = None) -> Any:
         """Contours of the objective, where the constraints are kept, and the path of a search.
 
         Args:
-            path: `Tuning.history`, or nothing.
+            tuned: What `tune` returned for the same two gains; None for contours alone.
             ax: Matplotlib `Axes` to draw in; None for a new figure.
 
         Returns:
             The axes.
         """
-        return plot_contour(self, path, ax)
+        is_fitting = tuned is None or set(self.names) <= set(tuned.parameters)
+        require(is_fitting, f"Argument `tuned` must have tuned {' and '.join(self.names)}; it has not.")
+        return plot_contour(self, tuned, ax)
 
     def plot_pareto(self, ax: Any = None) -> Any:
         """The second objective against the first, efficient cells joined, and the marked gains.

@@ -1,6 +1,5 @@
 """Pictures of a search for gains: its course, its sensitivities, its landscape, and the loop before and after."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +8,6 @@ from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_a
 from qsmc_jax.base.scales import spans_decade
 
 if TYPE_CHECKING:
-    from qsmc_jax.tuning.batch import Evaluation
     from qsmc_jax.tuning.landscape import Landscape
     from qsmc_jax.tuning.result import Tuning
 
@@ -83,8 +81,8 @@ def _draw_sensitivity(ax: Any, result: "Tuning") -> None:
     ax.legend(fontsize=8)
 
 
-def plot_contour(made: "Landscape", path: Sequence["Evaluation"], ax: Any = None) -> Any:
-    """Contours of the objective over two gains, where constraints are kept, and the path of a search."""
+def plot_contour(made: "Landscape", tuned: "Tuning | None", ax: Any = None) -> Any:
+    """Contours of the objective over two gains, where constraints are kept, the path of a search and what it chose."""
     ax = one_axes(ax, (8.5, 6.5))
     x, y = made.grids
     values = made.values[0].T
@@ -96,16 +94,8 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"], ax: Any = None
     ax.figure.colorbar(filled, ax=ax, label=str(made.objectives[0]), format="%.3g")
     ax.contourf(x, y, made.is_feasible.T.astype(float), levels=[-0.5, 0.5], colors="white", alpha=0.45, hatches=["//"])
     ax.plot([], [], "s", color="lightgrey", label="a constraint passed (hatched)")
-    walks = [each for each in path if each.start >= 0]
-    if walks:
-        points = np.array([[each.gains[name] for name in made.names] for each in walks])
-        ax.plot(*points.T, ".-", color=ORANGE, lw=1.0, label="path of the search")
-        best = min(path, key=lambda each: each.merit)
-        ax.plot(
-            *[best.gains[name] for name in made.names], "*", color=RED, ms=15, clip_on=False, zorder=5, label="best"
-        )
-        first = path[0]
-        ax.plot(*[first.gains[name] for name in made.names], "D", color="white", mec="black", label="start")
+    if tuned is not None:
+        _draw_search(ax, made.names, tuned)
     for axis, grid in (("x", x), ("y", y)):
         if spans_decade(grid[0], grid[-1]):
             ax.set(**{f"{axis}scale": "log"})
@@ -113,6 +103,16 @@ def plot_contour(made: "Landscape", path: Sequence["Evaluation"], ax: Any = None
     ax.set_title("; ".join(map(str, made.constraints)) or "no constraints", fontsize=9)
     ax.legend(fontsize=8, loc="upper left")
     return ax
+
+
+def _draw_search(ax: Any, names: tuple[str, str], tuned: "Tuning") -> None:
+    """The path of a search, the gains it began at, and those it chose, which need not be the best in training."""
+    walk = np.array([[each.gains[name] for name in names] for each in tuned.history if each.start >= 0])
+    ax.plot(*walk.reshape(-1, 2).T, ".-", color=ORANGE, lw=1.0, label="path of the search")
+    start, chosen = ([gains[name] for name in names] for gains in (tuned.before.gains, tuned.gains))
+    label = "chosen, certified" if tuned.is_certified else "chosen, not certified"
+    ax.plot(*chosen, "*", color=RED, ms=15, clip_on=False, zorder=5, label=label)
+    ax.plot(*start, "D", color="white", mec="black", label="the study's own gains")
 
 
 def plot_pareto(made: "Landscape", ax: Any = None) -> Any:
