@@ -162,7 +162,7 @@ plt.show()
 # %% [markdown]
 # So there are stopping rules, and with one the intervals are those of a confidence sequence: `UntilBelow(p)` stops
 # when the probability is known to be at most $p$ or known to be above it, `UntilWidth(w)` when the interval is narrow
-# enough, and `SequentialTest(p0, p1)` is Wald's test. They look every 16384 runs.
+# enough, and `SequentialTest(p0, p1)` is Wald's test. They look every 32768 runs.
 
 # %%
 early = qj.verify(study, runs=100_000, until=qj.stopping.UntilBelow(1e-3 if small else 2e-4))

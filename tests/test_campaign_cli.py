@@ -1,6 +1,7 @@
 """Commands on run folders, as a user gives them."""
 
 import html.parser
+import inspect
 import json
 import shutil
 import subprocess
@@ -15,7 +16,10 @@ import pytest
 from scipy.io import netcdf_file
 from typer.testing import CliRunner
 
+from qsmc_jax.campaign.folder import FILE_RUNS
 from qsmc_jax.cli.main import app
+from qsmc_jax.cli.verify_command import verify_study
+from qsmc_jax.verification.stopping import LOOK
 
 STUDY = Path(__file__).parent / "studies_for_tests.py"
 SMALL = ["--block", "64", "--file-runs", "64"]
@@ -202,3 +206,7 @@ def test_a_damaged_block_is_told_on_the_command_line(run, tmp_path):
         done = qsmc("verify", STUDY, "--runs", 128, *SMALL, "--out", path, "--no-cache")
     assert done.exit_code == 0, done.output
     assert "is damaged: moved to" in done.output
+
+
+def test_rules_look_as_often_with_a_folder_as_without_one():
+    assert inspect.signature(verify_study).parameters["file_runs"].default == FILE_RUNS == LOOK

@@ -19,6 +19,7 @@ OBJECTIVES = {
     "cvar(peak_error[12], 0)": cvar("peak_error[12]", 0.0),
     "worst(peak_u) + least(margin)": worst("peak_u") + least("margin"),
     "cvar(peak_error[0], 0.9) + 0.01 * mean(energy_u)": cvar("peak_error[0]", 0.9) + 0.01 * mean("energy_u"),
+    "mean(peak_u) - 2 * least(margin)": mean("peak_u") - 2.0 * least("margin"),
     "-0.5 * worst(peak_rate_u) + 1e-06 * mean(rms_error)": -0.5 * worst("peak_rate_u") + 1e-6 * mean("rms_error"),
 }
 

@@ -16,9 +16,10 @@ from qsmc_jax.campaign.blocks import BlockFile, block_files, gaps, write_block
 from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
 from qsmc_jax.study.draw import DrawSpec
 from qsmc_jax.study.runs import Runs
+from qsmc_jax.verification.stopping import LOOK
 
 SCHEMA = 1
-FILE_RUNS = 32_768
+FILE_RUNS = LOOK
 
 
 @dataclasses.dataclass(frozen=True)

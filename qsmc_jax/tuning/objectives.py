@@ -140,7 +140,7 @@ class Objective:
         return Constraint(self, float(bound), -1)
 
     def __str__(self) -> str:
-        return " + ".join(map(str, self.terms))
+        return " + ".join(map(str, self.terms)).replace("+ -", "- ")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,7 +287,7 @@ def parse_objective(text: "str | Objective") -> Objective:
     Examples:
         >>> import qsmc_jax as qj
         >>> str(qj.objectives.parse_objective("cvar(peak_error[0], 0.9) - 2 * mean(energy_u)"))
-        'cvar(peak_error[0], 0.9) + -2 * mean(energy_u)'
+        'cvar(peak_error[0], 0.9) - 2 * mean(energy_u)'
     """
     return _parsed(text, Objective, f"Argument `objective` must be a sum of statistics, but is `{text}`.")
 

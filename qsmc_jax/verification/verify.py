@@ -16,10 +16,7 @@ from qsmc_jax.verification.decided import part_of, through
 from qsmc_jax.verification.evidence import Effort, Evidence, check_request
 from qsmc_jax.verification.ladder import Ladder
 from qsmc_jax.verification.result import Verification
-from qsmc_jax.verification.stopping import AbstractRule, decision_of
-
-# Runs between two looks of a stopping rule.
-LOOK = 16_384
+from qsmc_jax.verification.stopping import LOOK, AbstractRule, decision_of
 
 Sink = Callable[[Runs], None]
 
@@ -57,7 +54,7 @@ def verify(
         threads: Blocks solved at the same time; None for one a core.
         progress: Called as `progress(done, runs)` after each block.
         sink: Called with each table of final rows, in no particular order.
-        until: Stops earlier, by a rule that looks every 16384 runs: `UntilBelow(1e-3)`, `UntilWidth(1e-3)` or
+        until: Stops earlier, by a rule that looks every 32768 runs: `UntilBelow(1e-3)`, `UntilWidth(1e-3)` or
             `SequentialTest(2e-3, 1e-3)`. The intervals are then those of a confidence sequence.
 
     Returns:
