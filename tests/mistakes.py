@@ -148,6 +148,10 @@ MISTAKES = {
         lambda: qj.Scenario(PENDULUM, [0.9, 0.9], 1.0),
         "`loop` of `Scenario` must be of class `ClosedLoop`, but is of class `InvertedPendulum`",
     ),
+    "scenario that solves": (
+        lambda: qj.Study(lambda draw: qj.simulate(loop(), [0.9, 0.9], t1=draw.uniform("t1", 1.0, 2.0)), bandwidth=0.1),
+        r"must return a `Scenario\(loop, x0, t1\)`, but returns a `Trajectory`",
+    ),
     "scenario with if": (lambda: with_mu(branch), f"Argument `scenario` {INSTEAD}.* what it draws is no number yet"),
     "scenario in numpy": (lambda: with_mu(np.exp), f"Argument `scenario` {INSTEAD}"),
     "scenario with float()": (lambda: with_mu(float), r"without `float\(\)`: what it draws is no number yet"),

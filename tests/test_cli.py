@@ -117,6 +117,11 @@ BROKEN = {
     "not a study": ("study = 3", "a `study` that is a `int`"),
     "raises": ("x = 1\n1 / 0", "line 2: ZeroDivisionError: division by zero"),
     "syntax": ("def (", "SyntaxError"),
+    "in a function": (
+        "import numpy as np\nimport qsmc_jax as qj\ndef scenario(draw):\n    np.exp(draw.uniform('a', 0.0, 1.0))\n"
+        "study = qj.Study(scenario, bandwidth=0.1)",
+        "line 4: ValueError: Argument `scenario` must be written with `jax.numpy`",
+    ),
 }
 
 

@@ -1,9 +1,8 @@
 """Float64 inside entry points: nothing global is set, and NumPy comes out."""
 
-import contextlib
 import functools as ft
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -26,16 +25,20 @@ def entry_point(function: Callable[P, R]) -> Callable[P, R]:
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> Any:
         if is_traced(args, kwargs):
             return function(*args, **kwargs)
-        with jax.enable_x64(True), _now():
-            return to_numpy(function(*args, **kwargs))
+
+        def at_once() -> Any:
+            with jax.enable_x64(True):
+                return to_numpy(function(*args, **kwargs))
+
+        return _outside_traces(at_once) if is_traced(jnp.zeros(())) else at_once()
 
     return wrapped
 
 
-def _now() -> AbstractContextManager[None]:
-    """A context in which plain numbers are computed with at once, even if a trace is under way around it."""
-    is_staging = is_traced(jnp.zeros(()))
-    return jax.ensure_compile_time_eval() if is_staging else contextlib.nullcontext()
+def _outside_traces(compute: Callable[[], Any]) -> Any:
+    """What `compute` returns where no trace is under way: in a thread of its own, for traces belong to threads."""
+    with ThreadPoolExecutor(1) as elsewhere:
+        return elsewhere.submit(compute).result()
 
 
 def to_numpy(tree: Any) -> Any:

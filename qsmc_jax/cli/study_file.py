@@ -3,6 +3,7 @@
 import json
 import runpy
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +58,16 @@ def _run(path: Path) -> dict[str, Any]:
     try:
         return runpy.run_path(str(path))
     except Exception as error:
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        lines = [frame.lineno for frame in _frames(error) if frame.filename == str(path)]
         place = f", line {lines[-1]}" if lines else ""
         raise ValueError(f"File `{path}`{place}: {type(error).__name__}: {error}") from None
+
+
+def _frames(error: BaseException | None) -> Iterator[traceback.FrameSummary]:
+    """The calls that led to an error, then those that led to what it was raised from: the last is nearest the cause."""
+    while error is not None:
+        yield from traceback.extract_tb(error.__traceback__)
+        error = error.__cause__
 
 
 def _values(overrides: list[str]) -> dict[str, Any]:

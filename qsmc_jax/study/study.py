@@ -153,13 +153,7 @@ class Study:
         return simulate(loop, x0, t1, bandwidth=self.bandwidth, ts=ts, settings=settings)
 
     def _at(self, point: np.ndarray | None, values: Mapping[str, Any]) -> Scenario:
-        result = _call(self.scenario, PointDraw(point, values))
-        found = type(result).__name__
-        require(
-            isinstance(result, Scenario),
-            f"Argument `scenario` must return a `Scenario(loop, x0, t1)`, but returns a `{found}`.",
-        )
-        return result
+        return _call(self.scenario, PointDraw(point, values))
 
 
 def require_study(study: Any, name: str = "study") -> None:
@@ -170,9 +164,18 @@ def require_study(study: Any, name: str = "study") -> None:
 @ft.lru_cache(maxsize=64)
 def _specs(scenario: Callable[[Any], Any]) -> tuple[DrawSpec, ...]:
     """The names of a scenario: whatever is substituted they are the same, and are found once."""
-    return discover(scenario)[0]
+    return discover(ft.partial(_scenario_of, scenario))[0]
 
 
-@entry_point
-def _call(scenario: Callable[[Any], Any], draw: PointDraw) -> Any:
-    return scenario(draw)
+def _scenario_of(scenario: Callable[[Any], Any], draw: PointDraw) -> Scenario:
+    """What a scenario function returns, which must be a `Scenario`."""
+    result = scenario(draw)
+    found = type(result).__name__
+    require(
+        isinstance(result, Scenario),
+        f"Argument `scenario` must return a `Scenario(loop, x0, t1)`, but returns a `{found}`.",
+    )
+    return result
+
+
+_call = entry_point(_scenario_of)
