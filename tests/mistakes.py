@@ -177,7 +177,7 @@ MISTAKES = {
     "rule a text": (lambda: qj.verify(STUDY, 64, until="decided"), "`until` must be .* Use one of `qj.stopping`"),
     "name misspelt": (lambda: STUDY.substitute(mas=0.01), "There is no name `mas` .* Did you mean `mass`?"),
     "column misspelt": (
-        lambda: qj.monte_carlo(STUDY, 64, block=64)["peak_ration"],
+        lambda: qj.Runs({"index": np.arange(2), "peak_ratio": np.ones(2)}, ())["peak_ration"],
         "There is no column `peak_ration`. Did you mean `peak_ratio`?",
     ),
     "figure misspelt": (

@@ -70,7 +70,7 @@ def case(n, route, *marks):
 
 
 # Each is a program to compile; the physical route of order 1 is also held to closed forms, in test_violations.
-QUICK = ((1, "funnel"), (2, "funnel"), (2, "physical"), (3, "funnel"), (5, "funnel"))
+QUICK = ((1, "funnel"), (2, "funnel"), (2, "physical"), (5, "funnel"))
 ROUTES = pytest.mark.parametrize(
     ("n", "route"),
     [

@@ -121,6 +121,7 @@ def test_bad_arguments_are_named(arguments, message):
         qj.monte_carlo(study, **arguments)
 
 
+@pytest.mark.slow
 def test_vectorised_functions_can_be_switched_off():
     """Sines come from another library then: the same runs up to what rounding does to the steps."""
     fast, plain = (

@@ -222,6 +222,7 @@ def test_reading_a_folder_runs_nothing_in_it(tmp_path):
     assert not trap.exists()
 
 
+@pytest.mark.slow
 def test_replay_holds_a_run_against_its_row(tmp_path):
     folder = new(tmp_path / "run")
     found = run_campaign(folder, RECIPE, RUNS)

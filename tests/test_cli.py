@@ -74,6 +74,7 @@ def test_a_hard_interruption_exits_3_and_keeps_no_half_block(tmp_path, monkeypat
     assert blocks_of(tmp_path / "result") == []
 
 
+@pytest.mark.slow
 def test_simulate_replays_the_row_of_a_run(tmp_path):
     # Another program: it rounds differently, and may refuse a step that the other just kept; so at a tight tolerance.
     out, tight = tmp_path / "result", ("--rtol", 1e-12)
@@ -118,7 +119,8 @@ BROKEN = {
     "raises": ("x = 1\n1 / 0", "line 2: ZeroDivisionError: division by zero"),
     "syntax": ("def (", "SyntaxError"),
     "in a function": (
-        "import numpy as np\nimport qsmc_jax as qj\ndef scenario(draw):\n    np.exp(draw.uniform('a', 0.0, 1.0))\n"
+        "import numpy as np\nimport qsmc_jax as qj\ndef scenario(draw):\n    x = np.exp(draw.uniform('a', -1.0, 0.0))\n"
+        "    return qj.Scenario(qj.paper.example1(), x0=[x, x], t1=1.0)\n"
         "study = qj.Study(scenario, bandwidth=0.1)",
         "line 4: ValueError: Argument `scenario` must be written with `jax.numpy`",
     ),

@@ -113,6 +113,7 @@ def test_the_picture_has_a_panel_a_figure_and_a_line_a_study(found):
     assert "infinite; at least" in panels[2].texts[0].get_text()
 
 
+@pytest.mark.slow
 def test_a_study_without_a_decided_run_is_drawn_too():
     found = qj.compare({"a": study, "b": study}, 64, block=64, settings=qj.SolverSettings(max_steps=1))
     assert [(s.undecided, s.low, s.high) for s in found.studies] == [(64, 0.0, 1.0)] * 2

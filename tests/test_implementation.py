@@ -185,6 +185,7 @@ def test_a_sufficient_period_is_never_violated(configurations):
     assert np.max(runs["peak_ratio"] / ratio) > 0.9  # it is not far from being broken
 
 
+@pytest.mark.slow
 def test_rows_are_the_same_to_the_last_bit_however_they_are_solved_and_replayed():
     study = example1_study(
         sample_period=5e-3,
@@ -201,6 +202,7 @@ def test_rows_are_the_same_to_the_last_bit_however_they_are_solved_and_replayed(
         assert float(run[name]) == pytest.approx(once[name][100], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_an_actuator_without_a_lag_changes_nothing():
     plain, through = (
         example1_study(sample_period=2e-3, **fields) for fields in ({}, {"actuator": qj.actuators.FirstOrderLag(0.0)})

@@ -99,6 +99,7 @@ def test_names_that_set_nothing_of_the_implementation_have_no_limits(study):
     assert known(study, mu=[1.0, 2.0]) == ({}, {})
 
 
+@pytest.mark.slow
 def test_a_map_has_its_thresholds_and_can_be_drawn_in_natural_units(tmp_path):
     out, path = tmp_path / "map", written(tmp_path, "Implementation(1e-3 * milliseconds)")
     grid = ["--over", "milliseconds=60,130", "--runs", "64", "--block", "64", "--dimensionless", "--out", str(out)]

@@ -109,6 +109,12 @@ def test_horizon_up_to_the_reaching_time_decides_nothing_about_reaching(t1, reac
     assert claims(run)[:2] == ["HELD", reaching]
 
 
+def test_a_run_that_was_not_begun_prints_no_figures():
+    first, advice = str(simulate(x0=3.0)).splitlines()
+    assert first == "Trajectory that was not begun: funnel INADMISSIBLE, reaching INADMISSIBLE, tracking INADMISSIBLE"
+    assert advice.strip() == f"STARTED_OUTSIDE: {qj.Outcome.STARTED_OUTSIDE.advice}"
+
+
 @pytest.mark.parametrize("outcome", qj.Outcome, ids=lambda outcome: outcome.name)
 def test_every_outcome_says_what_to_do(outcome):
     assert outcome.advice.endswith(".")

@@ -103,6 +103,7 @@ def test_both_methods_agree_on_the_peak():
     np.testing.assert_array_equal(rodas5p["verdict"], tsit5["verdict"])
 
 
+@pytest.mark.slow
 def test_a_replayed_run_is_solved_by_the_method_of_its_row():
     rows, _ = solve(runs=64)
     for index in (np.argmin(rows["rho_inf"]), np.argmax(rows["rho_inf"])):

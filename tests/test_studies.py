@@ -12,11 +12,11 @@ from qsmc_jax.report.paper_table import as_text, rows, simulate_example
 STUDIES = Path(__file__).parent.parent / "studies"
 CLAIMED = {
     "paper_example1": qj.Verdict.HELD,
-    "duffing": qj.Verdict.HELD,
-    "cooling": qj.Verdict.HELD,
     "wrong_gain_sign": qj.Verdict.VIOLATED,
 }
 LONG = {
+    "duffing": qj.Verdict.HELD,
+    "cooling": qj.Verdict.HELD,
     "example1_implemented": qj.Verdict.HELD,
     "paper_example2": qj.Verdict.HELD,
     "example1_uncertain": qj.Verdict.HELD,

@@ -64,6 +64,7 @@ def test_the_optimum_of_a_closed_form_is_found(method, options):
     assert not tuned.is_certified
 
 
+@SLOW
 def test_the_optimum_on_a_constraint_of_a_closed_form_is_found():
     known = optimize.brentq(lambda rho: rms(rho) - 0.2, 1.25, 50.0)
     tuned = qj.tune(STUDY, ["rho0"], "mean(energy_u)", ["worst(rms_error) <= 0.2"], tolerance=1e-9, **QUICK)
@@ -128,7 +129,7 @@ def test_a_refused_design_is_kept_where_no_tighter_one_exists():
     assert [each.seed for each in tuned.certificates] == [1]
 
 
-@pytest.mark.slow
+@SLOW
 def test_a_certificate_is_granted_by_runs_that_training_never_saw():
     study = qj.Study(coin, bandwidth=0.5).substitute(coin=0.9)
     tuned = qj.tune(study, ["mu"], "mean(rms_error)", ["worst(peak_u) <= 5"], runs=64, certificate_runs=600, block=64)
@@ -180,14 +181,19 @@ def refused(kind, draw):
     [
         ("sign", ["mu"], "mean(rms_error)", [], "can't be trusted: `Sign` switches"),
         ("rounded", ["mu"], "mean(rms_error)", [], "`input_resolution` of the implementation rounds"),
-        ("jump", ["when"], "mean(rms_error)", [], "can't be trusted: along itself"),
-        ("short", ["mu"], "mean(peak_error[0])", [], "objective at the start must be finite"),
+        pytest.param("jump", ["when"], "mean(rms_error)", [], "can't be trusted: along itself", marks=SLOW),
+        pytest.param("short", ["mu"], "mean(peak_error[0])", [], "objective at the start must be finite", marks=SLOW),
         ("plain", ["nu"], "mean(rms_error)", [], "Did you mean `mu`"),
         ("plain", ["x0"], "mean(rms_error)", [], "must name parameters, but `x0` is a uniform"),
         ("plain", ["mu"], "mean(peak_error[3])", [], "this plant has peak_error"),
         ("plain", ["mu"], "mean(excess_variation_u)", [], "which only a loop with an `implementation` has"),
         pytest.param(
-            "plain", ["mu"], "mean(rms_error)", ["worst(rms_error) <= 1e-3"], r"fails `worst\(rms_error\) <= 0.001` by"
+            "plain",
+            ["mu"],
+            "mean(rms_error)",
+            ["worst(rms_error) <= 1e-3"],
+            r"fails `worst\(rms_error\) <= 0.001` by",
+            marks=SLOW,
         ),
     ],
 )

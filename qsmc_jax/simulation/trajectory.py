@@ -139,6 +139,9 @@ class Trajectory(AbstractModule):
         names = ("funnel", "reaching", "tracking")
         verdicts = (f.verdict, f.verdict_reaching, f.verdict_tracking)
         claims = ", ".join(f"{name} {Verdict(int(v)).name}" for name, v in zip(names, verdicts, strict=True))
+        told = f"  {self.outcome.name}: {self.outcome.advice}"
+        if is_refused(f.outcome):
+            return f"Trajectory that was not begun: {claims}\n{told}"
         return "\n".join(
             (
                 f"Trajectory to t = {float(f.end_time):.6g} s in {int(f.steps)} steps: {claims}",
@@ -148,7 +151,7 @@ class Trajectory(AbstractModule):
                 f"  |sigma| < {float(self.bandwidth):.4g} for good after {float(f.reach_time):.6g} s "
                 f"(t_r = {self.reaching_time:.6g} s)",
                 *_sampled_lines(f),
-                f"  {self.outcome.name}: {self.outcome.advice}",
+                told,
             )
         )
 
