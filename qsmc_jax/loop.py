@@ -7,13 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.module import AbstractModule, require_parts
-from qsmc_jax.base.traceable import described, is_number, trace
+from qsmc_jax.base.module import AbstractModule, require_fields
+from qsmc_jax.base.traceable import described, is_number, once_per_structure, trace
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.model.disturbances import AbstractDisturbance
+from qsmc_jax.model.kinks import as_times
 from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.references import AbstractReference
 
@@ -87,14 +88,14 @@ class ClosedLoop(AbstractModule):
     implementation: Implementation | None = None
 
     def __check_init__(self):
-        require_parts(self)
+        require_fields(self)
         order, has = self.plant.order, self.control.surface.order
         require(
             order == has,
             f"Argument `c` of the sliding surface must have {order - 1} coefficients for a plant of order {order}, but "
             f"has {has - 1}. `SlidingSurface.binomial(a, {order})` makes a fitting one.",
         )
-        _require_derivatives(self.reference, order)
+        _require_derivatives((self.reference, order))
         require(
             self.implementation is not None or isinstance(self.control, QuasiSlidingControl),
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: without one, only the "
@@ -201,14 +202,16 @@ class ClosedLoop(AbstractModule):
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
         parts = [self.plant, self.disturbance, self.implementation]
-        return jnp.concatenate([jnp.asarray(part.break_times, float) for part in parts if part is not None])
+        return jnp.concatenate([as_times(part.break_times) for part in parts if part is not None])
 
 
-def _require_derivatives(reference: AbstractReference, order: int) -> None:
-    """Raises unless the reference has its derivatives up to the order, each one number."""
+@once_per_structure
+def _require_derivatives(pair: tuple[AbstractReference, int]) -> None:
+    """Raises unless a reference has its derivatives up to an order, each one number."""
+    reference, order = pair
     name, time = f"`derivatives` of `{type(reference).__name__}`", jax.ShapeDtypeStruct((), float)
-    result = trace(name, "the time", lambda t: reference.derivatives(t, order), time)[1]
+    call = trace(name, "a time and an order", reference, lambda r, t: tuple(r.derivatives(t, order)), time)
     require(
-        isinstance(result, tuple) and len(result) == order + 1 and all(map(is_number, result)),
-        f"{name} must return {order + 1} numbers for order {order}, but returns {described(result)}.",
+        len(call[1]) == order + 1 and all(map(is_number, call[1])),
+        f"{name} must return {order + 1} numbers for order {order}, but returns {described(call[1])}.",
     )

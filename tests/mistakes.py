@@ -79,22 +79,28 @@ INSTEAD = "must be written with `jax.numpy`, not `numpy` or `math`, with `jnp.wh
 MISTAKES = {
     "plant in numpy": (lambda: plant(drift=lambda self, t, x: -np.sin(x[0])), f"`drift` of `Mine` {INSTEAD}"),
     "plant in math": (lambda: plant(drift=lambda self, t, x: -math.sin(x[0])), f"`drift` of `Mine` {INSTEAD}"),
-    "plant with if": (lambda: plant(gain=lambda self, t, x: branch(x[0])), "the state is no number yet while JAX"),
+    "plant with if": (
+        lambda: plant(gain=lambda self, t, x: branch(x[0])),
+        "JAX traces it with stand-ins for a time and a state of 2",
+    ),
     "drift without t": (
         lambda: plant(drift=lambda self, x: -x[0]),
-        r"`drift` of `Mine` must take `self`, a time and a state of 2 numbers, .* 3 were given",
+        r"`drift` of `Mine` must take a time and a state of 2 numbers .* 3 were given",
     ),
-    "state too short": (lambda: plant(drift=lambda self, t, x: x[2]), r"Index the state: x\[0\] ... x\[1\]"),
+    "state too short": (
+        lambda: plant(drift=lambda self, t, x: x[2]),
+        r"a state of 2 numbers x\[0\] ... x\[1\] .*, but calling it says",
+    ),
     "drift of all states": (
         lambda: plant(drift=lambda self, t, x: jnp.stack([x[1], -x[0]])),
         r"`drift` of `Mine` must return one number, but returns shape \(2,\)",
     ),
     "drift with a jump": (
         lambda: plant(drift=lambda self, t, x: jnp.where(t < 1.0, 0.0, 1.0)),
-        "`drift` of `Mine` may jump in time, for it uses `lt` on it, but `break_times` is empty",
+        "`drift` of `Mine` may jump in time, for it uses `lt` on what may depend on it, but `break_times` is empty",
     ),
     "disturbance in numpy": (lambda: Push(np.sin), f"`Push`, a disturbance, {INSTEAD}"),
-    "disturbance with if": (lambda: Push(branch), "the time is no number yet while JAX traces it"),
+    "disturbance with if": (lambda: Push(branch), "JAX traces it with stand-ins for a time and for its arrays"),
     "disturbance a vector": (
         lambda: Push(lambda t: jnp.stack([t, t])),
         r"`Push`, a disturbance, must return one number, but returns shape \(2,\)",
@@ -113,6 +119,26 @@ MISTAKES = {
     ),
     "smooth in numpy": (lambda: qj.references.Smooth(np.sin), f"Argument `fn` of `references.Smooth` {INSTEAD}"),
     "smooth a number": (lambda: qj.references.Smooth(1.0), "must be a function of time, but calling it says"),
+    "list for a number": (
+        lambda: qj.plants.InvertedPendulum(mass=[0.1, 0.2]),
+        r"`mass` of `InvertedPendulum` must be a single number, but has shape \(2,\)",
+    ),
+    "amplitudes for an amplitude": (
+        lambda: qj.disturbances.Sine([0.1, 0.2], 1.0),
+        r"`amplitude` of `Sine` must be a single number, but has shape \(2,\)",
+    ),
+    "abstract class for plant": (
+        lambda: loop(plant=qj.AbstractPlant),
+        "but is the class `AbstractPlant` itself. Derive from `qj.AbstractPlant`",
+    ),
+    "disturbance without t": (
+        lambda: type("Mine", (Push,), {"__call__": lambda self: 0.0})(jnp.sin),
+        "`Mine`, a disturbance, must take a time .*, but calling it says",
+    ),
+    "reference without order": (
+        lambda: loop(reference=type("Mine", (Turn,), {"derivatives": lambda self, t: (t,)})(jnp.sin)),
+        "`derivatives` of `Mine` must take a time and an order .*, but calling it says",
+    ),
     "class for plant": (
         lambda: loop(plant=qj.plants.InvertedPendulum),
         r"`plant` of `ClosedLoop` must be .* but is the class `InvertedPendulum` itself. Call it: `InvertedPendulum\(",
@@ -152,9 +178,12 @@ MISTAKES = {
         lambda: qj.Study(lambda draw: qj.simulate(loop(), [0.9, 0.9], t1=draw.uniform("t1", 1.0, 2.0)), bandwidth=0.1),
         r"must return a `Scenario\(loop, x0, t1\)`, but returns a `Trajectory`",
     ),
-    "scenario with if": (lambda: with_mu(branch), f"Argument `scenario` {INSTEAD}.* what it draws is no number yet"),
+    "scenario with if": (
+        lambda: with_mu(branch),
+        f"Argument `scenario` {INSTEAD}.* stand-ins for the numbers it draws",
+    ),
     "scenario in numpy": (lambda: with_mu(np.exp), f"Argument `scenario` {INSTEAD}"),
-    "scenario with float()": (lambda: with_mu(float), r"without `float\(\)`: what it draws is no number yet"),
+    "scenario with float()": (lambda: with_mu(float), r"without `float\(\)`: .* stand-ins for the numbers it draws"),
     "scenario for study": (
         lambda: qj.verify(scenario, 64),
         r"`study` must be of class `Study`, but is of class `function`. Make one: `qj.Study\(scenario, bandwidth",
@@ -166,6 +195,8 @@ MISTAKES = {
     "one study to compare": (lambda: qj.compare(STUDY, 64), "`studies` must be of class `Mapping`.* Give each a name"),
     "loops to compare": (lambda: qj.compare({"a": loop()}, 64), r"`studies\['a'\]` must be of class `Study`"),
     "runs in exponents": (lambda: qj.verify(STUDY, 1e3), "`runs` must be a whole number, but is 1000.0"),
+    "one array of runs": (lambda: qj.verify(STUDY, np.ones(2)), "`runs` must be a whole number, but is array"),
+    "runs a truth value": (lambda: qj.verify(STUDY, True), "`runs` must be a whole number, but is True"),
     "no runs": (lambda: qj.verify(STUDY, 0), "`runs` must be at least 1, but is 0"),
     "seed a fraction": (lambda: qj.verify(STUDY, 64, seed=0.5), "`seed` must be a whole number, but is 0.5"),
     "confidence in percent": (lambda: qj.verify(STUDY, 64, confidence=95), "`confidence` must lie strictly between 0"),

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
 import qsmc_jax as qj
-from qsmc_jax.base.traceable import trace
-from qsmc_jax.model.kinks import require_declared
+from qsmc_jax.base.module import float_field
 
 SINE = qj.references.SumOfSines([0.3], [1.0])
 WIDTH, HEIGHT, AT = 1e-3, 400.0, 2.0
@@ -23,6 +23,8 @@ JUMPING = {
     "inside jit": jax.jit(lambda t: jnp.where(2.0 * t >= 1.0, 0.0, 1.0)),
     "sign": lambda t: jnp.sign(jnp.sin(t)),
     "floor": jnp.floor,
+    "sign bit": lambda t: jnp.where(jnp.signbit(t - 1.0), 0.0, 1.0),
+    "copied sign": lambda t: jnp.copysign(1.0, t - 1.0),
     "remainder": lambda t: jnp.mod(t, 1.0),
     "to an integer": lambda t: jnp.asarray(jnp.asarray(t, int), float),
     "cond": lambda t: jax.lax.cond(t < 1.0, jnp.sin, jnp.cos, t),
@@ -41,28 +43,111 @@ QUIET = {
 }
 
 
-def program(function, *shapes):
-    return trace("It", "time", function, *(jax.ShapeDtypeStruct(shape, float) for shape in shapes))[0]
+class Pushed(qj.AbstractDisturbance):
+    """Any function of time, and the times that are declared."""
+
+    function: object
+    times: object
+
+    def __call__(self, t):
+        return self.function(t)
+
+    @property
+    def bound(self):
+        return 1.0
+
+    @property
+    def break_times(self):
+        return self.times
+
+
+class Drifting(qj.AbstractPlant):
+    """Any function of time and state."""
+
+    function: object
+    order = 2
+
+    def drift(self, t, x):
+        return self.function(t, x)
+
+    def gain(self, t, x):
+        return 1.0
 
 
 @pytest.mark.parametrize("function", JUMPING.values(), ids=JUMPING)
 def test_what_may_jump_needs_a_declared_time(function):
-    with pytest.raises(ValueError, match=r"It may jump in time, .* or \[inf\] if it has none"):
-        require_declared("It", program(function, ()), (True,), [])
-    require_declared("It", program(function, ()), (True,), [1.0])
+    with pytest.raises(ValueError, match=r"`Pushed`, a disturbance, may jump in time, .* or \[inf\] if it has none"):
+        Pushed(function, np.zeros(0))
+    with pytest.raises(ValueError, match="`drift` of `Drifting` may jump in time"):
+        Drifting(lambda t, x: x[0] + function(t))
+    Pushed(function, np.array([1.0]))
 
 
 @pytest.mark.parametrize("function", QUIET.values(), ids=QUIET)
 def test_what_does_not_jump_needs_none(function):
-    require_declared("It", program(function, ()), (True,), [])
+    Pushed(function, np.zeros(0))
 
 
-def test_jumps_in_the_state_are_no_jumps_in_time():
+FRICTION = {
+    "plain": lambda t, x: jnp.sin(t) - jnp.sign(x[1]),
+    "checkpoint": jax.checkpoint(lambda t, x: jnp.sin(t) - jnp.sign(x[1])),
+    "branch": lambda t, x: jax.lax.cond(x[0] > 0.0, lambda t, x: jnp.sin(t) - jnp.sign(x[1]), lambda t, x: t, t, x),
+}
+
+
+@pytest.mark.parametrize("function", FRICTION.values(), ids=FRICTION)
+def test_jumps_in_the_state_are_no_jumps_in_time(function):
     """Dry friction: the solver's error control sees it, since it goes through the state."""
-    friction = program(lambda t, x: jnp.sin(t) - jnp.sign(x), (), ())
-    require_declared("It", friction, (True, False), [])
+    Drifting(function)
     with pytest.raises(ValueError, match="`sign`"):
-        require_declared("It", friction, (True, True), [])
+        Drifting(lambda t, x: function(t, (x[0], jnp.sin(t))))
+
+
+@pytest.mark.parametrize("times", [[1.0], (1.0,), 1.0, np.inf, np.array([1.0, np.inf])], ids=str)
+def test_break_times_may_be_given_in_any_form(times):
+    one = Pushed(JUMPING["where"], times)
+    assert list((one + one).break_times) == 2 * list(np.atleast_1d(times))
+
+
+class Stepped(qj.AbstractDisturbance):
+    """A step of which the time can be drawn."""
+
+    at: Float[Array, ""] = float_field()
+
+    def __call__(self, t):
+        return jnp.where(t < self.at, 0.0, 1.0)
+
+    @property
+    def bound(self):
+        return 1.0
+
+    @property
+    def break_times(self):
+        return [self.at]
+
+
+def test_a_traced_time_can_be_declared():
+    assert jax.jit(lambda at: jnp.sum(Stepped(at).break_times[0]))(2.0) == 2.0
+    assert list(jax.vmap(lambda at: (2.0 * Stepped(at) + 1.0).break_times)(jnp.arange(3.0))[:, 0]) == [0.0, 1.0, 2.0]
+
+
+class Branching(qj.AbstractPlant):
+    """Python asks what a number is, which in a solve it can't know."""
+
+    limit: Float[Array, ""] = float_field()
+    order = 1
+
+    def drift(self, t, x):
+        return -x[0] if self.limit > 1.0 else x[0]
+
+    def gain(self, t, x):
+        return 1.0
+
+
+def test_a_branch_on_a_number_of_the_plant_is_refused_whatever_the_number_is():
+    for limit in (2.0, 0.5):
+        with pytest.raises(ValueError, match="with `jnp.where` in place of a Python `if`"):
+            Branching(limit)
 
 
 class Kicked(qj.AbstractPlant):

@@ -1,5 +1,6 @@
 """Failure honesty: a solve that can't tell says so, and a wrong call is told what is wrong with it."""
 
+import dataclasses
 import math
 from typing import ClassVar
 
@@ -113,6 +114,13 @@ def test_a_run_that_was_not_begun_prints_no_figures():
     first, advice = str(simulate(x0=3.0)).splitlines()
     assert first == "Trajectory that was not begun: funnel INADMISSIBLE, reaching INADMISSIBLE, tracking INADMISSIBLE"
     assert advice.strip() == f"STARTED_OUTSIDE: {qj.Outcome.STARTED_OUTSIDE.advice}"
+
+
+def test_a_sampled_run_from_outside_was_followed_and_prints_what_it_did():
+    loop = dataclasses.replace(qj.paper.example1(), implementation=qj.Implementation(0.01, saturation=20.0))
+    run = qj.simulate(loop, [1.6, 2.0], 2.0)
+    assert claims(run)[0] == "INADMISSIBLE"
+    assert str(run).startswith("Trajectory to t = 2 s")
 
 
 @pytest.mark.parametrize("outcome", qj.Outcome, ids=lambda outcome: outcome.name)

@@ -64,6 +64,12 @@ def test_a_run_and_a_verification_are_drawn_in_axes_of_the_caller(run, result):
     draws_in_given_axes(result.plot, 3)
 
 
+def test_axes_are_the_first_argument_of_every_picture():
+    """`Landscape.plot` takes what was tuned before them."""
+    first = {(kind.__name__, name): list(inspect.signature(getattr(kind, name)).parameters)[1] for kind, name in PLOTS}
+    assert {key for key, parameter in first.items() if parameter != "ax"} == {("Landscape", "plot")}
+
+
 def test_axes_in_a_grid_serve_in_reading_order(run):
     figure, grid = plt.subplots(2, 2)
     assert list(run.plot(ax=grid)) == [grid[0, 0], grid[0, 1], grid[1, 0], grid[1, 1]]

@@ -261,7 +261,7 @@ def test_a_function_that_is_not_smooth_is_refused(fn, primitive):
 REFUSED = {
     "python if": (
         lambda: qr.Smooth(lambda t: t if t > 1 else 0.0),
-        "must be written with `jax.numpy`, .* in place of a Python `if`.* the time is no number yet",
+        "must be written with `jax.numpy`, .* in place of a Python `if`.* stand-ins for the time",
     ),
     "math module": (lambda: qr.Smooth(math.sin), "must be written with `jax.numpy`, not `numpy` or `math`"),
     "reverse only": (lambda: qr.Smooth(reverse_only), "must have a forward derivative"),

@@ -4,8 +4,9 @@ A value that is being traced has no number yet and passes: whatever it breaks th
 """
 
 import difflib
+import operator
 from collections.abc import Iterable
-from numbers import Integral
+from inspect import isabstract
 from typing import Any
 
 import jax
@@ -29,7 +30,8 @@ def require_kind(name: str, value: Any, kind: type, remedy: str = "") -> None:
     if not isinstance(value, kind):
         is_class = isinstance(value, type)
         found = f"the class `{value.__name__}` itself" if is_class else f"of class `{type(value).__name__}`"
-        remedy = f"Call it: `{value.__name__}(...)`." if is_class and issubclass(value, kind) else remedy
+        if is_class and issubclass(value, kind) and not isabstract(value):
+            remedy = f"Call it: `{value.__name__}(...)`."
         raise ValueError(f"Argument `{name}` must be of class `{kind.__name__}`, but is {found}. {remedy}".rstrip())
 
 
@@ -40,8 +42,17 @@ def require_list(name: str, values: Any) -> None:
 
 def require_count(name: str, value: Any, least: int = 1) -> None:
     """Raises unless `value` is a whole number and at least `least`."""
-    require(isinstance(value, Integral), f"Argument `{name}` must be a whole number, but is {value!r}.")
+    require(is_whole(value), f"Argument `{name}` must be a whole number, but is {value!r}.")
     require(value >= least, f"Argument `{name}` must be at least {least}, but is {value}.")
+
+
+def is_whole(value: Any) -> bool:
+    """Whether Python takes `value` for an index, and it is no truth value."""
+    try:
+        operator.index(value)
+    except TypeError:
+        return False
+    return not isinstance(value, bool)
 
 
 def nearest(name: str, names: Iterable[str]) -> str:

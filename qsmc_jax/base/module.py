@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from qsmc_jax.base.checks import require_kind
+from qsmc_jax.base.checks import require, require_kind
 
 
 class AbstractModule(eqx.Module):
@@ -24,30 +24,24 @@ class AbstractModule(eqx.Module):
     remedy: ClassVar[str] = ""
 
     def __check_init__(self):
-        require_parts(self)
-        for name, hint in _hints(type(self)).items():
-            dims = _dimensions(hint)
-            value: Any = getattr(self, name, None)
-            if dims is None or not eqx.is_array_like(value):
-                continue
-            rank = len(dims.split())
-            if np.ndim(value) != rank:
-                raise ValueError(
-                    f"Argument `{name}` of `{type(self).__name__}` must be {_RANKS[rank]}, but has shape "
-                    f"{np.shape(value)}."
-                )
+        require_fields(self)
 
 
-def require_parts(module: AbstractModule) -> None:
-    """Raises unless every field that is to be a module is one, of the class it is annotated with.
+def require_fields(module: AbstractModule) -> None:
+    """Raises unless every field has the shape or is of the class of modules that it is annotated with.
 
-    Construction does so by itself, but after the checks of the subclass: one that looks into its parts calls this.
+    Construction does so by itself, but after the checks of the subclass: one that uses its fields calls this.
     """
+    owner = type(module).__name__
     for name, hint in _hints(type(module)).items():
-        kind = _module_class(hint)
-        value = getattr(module, name, None)
+        value: Any = getattr(module, name, None)
+        dims, kind = _dimensions(hint), _module_class(hint)
+        if dims is not None and eqx.is_array_like(value):
+            rank = len(dims.split())
+            fits = np.ndim(value) == rank
+            require(fits, f"Argument `{name}` of `{owner}` must be {_RANKS[rank]}, but has shape {np.shape(value)}.")
         if kind is not None and not (value is None and type(None) in get_args(hint)):
-            require_kind(f"{name}` of `{type(module).__name__}", value, kind, kind.remedy)
+            require_kind(f"{name}` of `{owner}", value, kind, kind.remedy)
 
 
 @ft.lru_cache(maxsize=256)

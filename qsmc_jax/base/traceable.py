@@ -1,4 +1,4 @@
-"""Tracing of functions that users wrote, with messages in words for who wrote them."""
+"""Tracing of what users wrote, with messages in words for who wrote it."""
 
 import contextlib
 import functools as ft
@@ -7,22 +7,24 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
-import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 T = TypeVar("T")
-_KEPT = 1024  # structures
+_KEPT = 256  # structures
 
 
 def once_per_structure(check: Callable[[T], None]) -> Callable[[T], None]:
-    """A check of a module that does not depend on the numbers in it: made once for each structure that passes."""
+    """A check, such as by `trace`, that the numbers in a module do not matter to: once for each structure that passes.
+
+    A module that holds a function is checked each time: the function may close over what must not be kept.
+    """
     passed: set[Hashable] = set()
 
     @ft.wraps(check)
     def wrapped(module: T) -> None:
         leaves, structure = jax.tree.flatten(module)
         key = structure, tuple(map(_kind_of, leaves))
-        if not _is_hashable(key):
+        if any(map(callable, leaves)) or not _is_hashable(key):
             check(module)
         elif key not in passed:
             check(module)
@@ -33,6 +35,11 @@ def once_per_structure(check: Callable[[T], None]) -> Callable[[T], None]:
     return wrapped
 
 
+def _kind_of(leaf: Any) -> Hashable:
+    """Shape and type of an array; anything else itself, since Python may branch on it."""
+    return (leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf
+
+
 def _is_hashable(key: Any) -> bool:
     try:
         hash(key)
@@ -41,18 +48,13 @@ def _is_hashable(key: Any) -> bool:
     return True
 
 
-def _kind_of(leaf: Any) -> Hashable:
-    """Shape and type of an array; anything else itself, since Python may branch on it."""
-    return (np.shape(leaf), leaf.dtype) if eqx.is_array(leaf) or isinstance(leaf, np.ndarray) else leaf
-
-
 @contextlib.contextmanager
 def traceable(what: str, values: str) -> Iterator[None]:
     """Turns JAX's errors about tracers into a `ValueError` that says what to write instead.
 
     Args:
         what: The function, as the subject of the message.
-        values: What has no number while the function is traced.
+        values: What has no numbers while the function is traced.
 
     Raises:
         ValueError: Inside the context a traced number was used as a Python number.
@@ -63,21 +65,36 @@ def traceable(what: str, values: str) -> Iterator[None]:
         said = str(error).strip().splitlines()[0]
         raise ValueError(
             f"{what} must be written with `jax.numpy`, not `numpy` or `math`, with `jnp.where` in place of a Python "
-            f"`if`, and without `float()`: {values} is no number yet while JAX traces it. JAX says: {said}"
+            f"`if`, and without `float()`: JAX traces it with stand-ins for {values}. JAX says: {said}"
         ) from error
 
 
-def trace(what: str, values: str, function: Callable[..., Any], *arguments: Any) -> tuple[ClosedJaxpr, Any]:
-    """The program of a function in 64 bits, and the shapes of what it returns.
+def trace(what: str, takes: str, module: Any, call: Callable[..., Any], *arguments: Any) -> tuple[ClosedJaxpr, Any]:
+    """The program of what a module does, in 64 bits, and the shapes of what it returns.
+
+    The arrays in the module are traced too, as they are in a solve, and come before the arguments.
 
     Args:
-        what: The function, as the subject of a message.
-        values: What its arguments are, for the message.
-        function: The function.
+        what: What the module does, as the subject of a message.
+        takes: What it is given, for the message.
+        module: The module.
+        call: Does it: `call(module, *arguments)`.
         *arguments: Shapes of its arguments.
+
+    Raises:
+        ValueError: It can't be traced, or not be called so.
     """
-    with jax.enable_x64(True), traceable(what, values):
-        return jax.make_jaxpr(function, return_shape=True)(*arguments)
+    arrays, rest = eqx.partition(module, eqx.is_array)
+    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), arrays)
+
+    def program(arrays: Any, *arguments: Any) -> Any:
+        return call(eqx.combine(arrays, rest), *arguments)
+
+    try:
+        with jax.enable_x64(True), traceable(what, f"{takes} and for its arrays"):
+            return jax.make_jaxpr(program, return_shape=True)(shapes, *arguments)
+    except (IndexError, TypeError) as error:
+        raise ValueError(f"{what} must take {takes} (and `self`), but calling it says: {error}.") from error
 
 
 def require_number(what: str, result: Any, remedy: str = "") -> None:

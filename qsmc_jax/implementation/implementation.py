@@ -26,6 +26,7 @@ from qsmc_jax.implementation.keyed import uniforms
 from qsmc_jax.implementation.noises import AbstractNoise
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.disturbances.disturbance import require_disturbances
+from qsmc_jax.model.kinks import as_times
 
 
 class Jitter(AbstractModule):
@@ -236,7 +237,7 @@ class Implementation(AbstractModule):
     @property
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which something jumps or kinks that is not a sample."""
-        parts = [signal.break_times for signal in self.unmatched]
+        parts = [as_times(signal.break_times) for signal in self.unmatched]
         parts += [] if self.gain_fault is None else [self.gain_fault.break_times]
         return jnp.concatenate([jnp.zeros((0,)), *parts])
 

@@ -1,7 +1,8 @@
 """Where a function of time may have kinks or jumps: operations of its program that make them, on what depends on time.
 
 What is said of a program is said of the operations in it, not of its values: a continuous function joined by
-`jnp.where` counts as one that may jump. Inside loops and branches every real number counts as depending on time. A
+`jnp.where` counts as one that may jump, as does a jump in the state inside a loop, where every real number counts as
+depending on time. A
 function with a derivative rule of its own (`jax.custom_jvp`, as in `jax.nn.softplus`) is judged by that rule, where it
 is differentiated, not by its body.
 """
@@ -12,13 +13,17 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var, jaxprs_in_params
+from jaxtyping import Array
 
 from qsmc_jax.base.checks import require
 
 _JUMPING = {"sign", "floor", "ceil", "round", "rem", "nextafter", "lt", "le", "gt", "ge", "lt_to", "le_to"}
+_JUMPING |= {"bitcast_convert_type"}  # by which signbit and copysign read a sign
 _BENDING = {"abs", "max", "min", "clamp", "stop_gradient"}
 _RANKING = {"sort", "top_k", "argmax", "argmin", "reduce_max", "reduce_min", "cummax", "cummin"}
 _WINDOWED = {"reduce_window_max", "reduce_window_min"}
+# Their inner program has the arguments of the call, or of the chosen branch, one for one.
+_CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "cond"}
 _KINKED = _JUMPING | _BENDING | _RANKING | _WINDOWED
 
 
@@ -31,21 +36,28 @@ def kinks(closed: ClosedJaxpr) -> list[str]:
     return _found(closed, (True,), _KINKED)
 
 
-def require_declared(name: str, closed: ClosedJaxpr, timed: Sequence[bool], break_times: Any) -> None:
+def as_times(times: Any) -> Array:
+    """Break times as a one-dimensional array of floats, however they were given."""
+    return jnp.atleast_1d(jnp.asarray(times, dtype=float))
+
+
+def require_declared(name: str, closed: ClosedJaxpr, arguments: int, declared: int) -> None:
     """Raises if a function may jump in time though not a single time is declared: a solver may step over the jump.
 
     Args:
         name: The function, for the message.
-        closed: The function, traced.
-        timed: Which of its arguments depend on time.
-        break_times: The declared times [s].
+        closed: The function, traced, with the time as the first of its last arguments.
+        arguments: How many the last arguments are; what comes before them does not depend on time, nor does the state.
+        declared: How many times are declared.
     """
-    jumps = _found(closed, timed, _JUMPING)
+    others = len(closed.jaxpr.invars) - arguments
+    jumps = _found(closed, (False,) * others + (True,) + (False,) * (arguments - 1), _JUMPING)
+    listed = ", ".join(f"`{jump}`" for jump in jumps)
     require(
-        not jumps or np.size(break_times) > 0,
-        f"{name} may jump in time, for it uses {', '.join(f'`{jump}`' for jump in jumps)} on it, but `break_times` is "
-        "empty, and a solver may step over what it is not told of. Give the class a property `break_times`: the times "
-        "[s] of its jumps and kinks, or [inf] if it has none.",
+        not jumps or declared > 0,
+        f"{name} may jump in time, for it uses {listed} on what may depend on it, but "
+        "`break_times` is empty, and a solver may step over what it is not told of. Give the class a property "
+        "`break_times`: the times [s] of its jumps and kinks, or [inf] if it has none.",
     )
 
 
@@ -63,9 +75,9 @@ def timed_equations(jaxpr: Jaxpr, timed: Sequence[bool] = (True,)) -> Iterator[J
 def _inner_equations(eqn: JaxprEqn, enters: Sequence[bool]) -> Iterator[JaxprEqn]:
     if eqn.primitive.name == "custom_jvp_call":
         return
+    given = enters[1:] if eqn.primitive.name == "cond" else enters
     for inner in jaxprs_in_params(eqn.params):
-        is_call = eqn.primitive.name in ("jit", "pjit")
-        yield from timed_equations(inner, enters if is_call else [_is_real(var) for var in inner.invars])
+        yield from timed_equations(inner, given if eqn.primitive.name in _CALLS else list(map(_is_real, inner.invars)))
 
 
 def _found(closed: ClosedJaxpr, timed: Sequence[bool], names: set[str]) -> list[str]:

@@ -1,7 +1,7 @@
 """Plants in strict-feedback form, and the two of the paper."""
 
 import abc
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative, require_positive
-from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike, State
-from qsmc_jax.model.kinks import require_declared
+from qsmc_jax.model.kinks import as_times, require_declared
 
 
 class AbstractPlant(AbstractModule):
@@ -41,21 +41,9 @@ class AbstractPlant(AbstractModule):
 
     order: eqx.AbstractClassVar[int]
 
-    @once_per_structure
     def __check_init__(self):
-        number = jax.ShapeDtypeStruct((), float)
-        index = f"Index the state: x[0] ... x[{self.order - 1}]."
-        for method in ("drift", "gain"):
-            name = f"`{method}` of `{type(self).__name__}`"
-            try:
-                program, result = trace(name, "the state", getattr(self, method), number, (number,) * self.order)
-            except (IndexError, TypeError) as error:
-                raise ValueError(
-                    f"{name} must take `self`, a time and a state of {self.order} numbers, but calling it says: "
-                    f"{error}. {index}"
-                ) from error
-            require_number(name, result, index)
-            require_declared(name, program, (True, *(False,) * self.order), self.break_times)
+        require_fields(self)
+        _require_plant(self)
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
@@ -90,6 +78,22 @@ class AbstractPlant(AbstractModule):
         Returns:
             A scalar.
         """
+
+
+@once_per_structure
+def _require_plant(plant: AbstractPlant) -> None:
+    """Raises unless drift and gain can be traced, are one number each, and jump in time only if it is declared."""
+    number, order = jax.ShapeDtypeStruct((), float), plant.order
+    takes = f"a time and a state of {order} numbers x[0] ... x[{order - 1}]"
+    for method in ("drift", "gain"):
+        name = f"`{method}` of `{type(plant).__name__}`"
+
+        def call(plant: AbstractPlant, t: RealScalarLike, *x: RealScalarLike, method: str = method) -> Any:
+            return getattr(plant, method)(t, x), as_times(plant.break_times)
+
+        program, (value, times) = trace(name, takes, plant, call, number, *(number,) * order)
+        require_number(name, value, f"Index the state: x[0] ... x[{order - 1}].")
+        require_declared(name, program, 1 + order, times.size)
 
 
 class InvertedPendulum(AbstractPlant):

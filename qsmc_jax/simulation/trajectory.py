@@ -140,7 +140,7 @@ class Trajectory(AbstractModule):
         verdicts = (f.verdict, f.verdict_reaching, f.verdict_tracking)
         claims = ", ".join(f"{name} {Verdict(int(v)).name}" for name, v in zip(names, verdicts, strict=True))
         told = f"  {self.outcome.name}: {self.outcome.advice}"
-        if self.verdict == Verdict.INADMISSIBLE:
+        if self.outcome in (Outcome.STARTED_OUTSIDE, Outcome.BAD_PARAMETERS):
             return f"Trajectory that was not begun: {claims}\n{told}"
         return "\n".join(
             (

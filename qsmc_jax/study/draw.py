@@ -212,7 +212,7 @@ def discover(scenario: Callable[[Any], Any]) -> tuple[tuple[DrawSpec, ...], Any]
     with jax.enable_x64(True):
         draw = PointDraw()
         result = scenario(draw)
-        with traceable("Argument `scenario`", "what it draws"):
+        with traceable("Argument `scenario`", "the numbers it draws"):
             dependent = _dependent_names(scenario, draw.specs)
     loose = {"bounds": (-math.inf, math.inf), "levels": ()}
     return tuple(dataclasses.replace(s, **loose) if s.name in dependent else s for s in draw.specs), result

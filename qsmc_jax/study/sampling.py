@@ -7,7 +7,6 @@ alone.
 import abc
 import functools as ft
 from collections.abc import Sequence
-from numbers import Integral
 from typing import ClassVar, TypeAlias
 
 import equinox as eqx
@@ -18,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 from scipy.stats import qmc
 
-from qsmc_jax.base.checks import require, require_count
+from qsmc_jax.base.checks import is_whole, require, require_count
 from qsmc_jax.base.module import AbstractModule
 
 Indices: TypeAlias = Sequence[int] | np.ndarray
@@ -201,7 +200,7 @@ def _latin_hypercube(seed: int, runs: int, dim: int) -> np.ndarray:
 
 def _checked_indices(seed: int, indices: Indices, limit: int) -> np.ndarray:
     """The indices as int64."""
-    require(isinstance(seed, Integral), f"Argument `seed` must be a whole number, but is {seed!r}.")
+    require(is_whole(seed), f"Argument `seed` must be a whole number, but is {seed!r}.")
     require(0 <= seed < 2**63, f"Argument `seed` must be in [0, 2**63), but is {seed}.")
     array = np.asarray(indices) if len(indices) else np.empty(0, np.int64)
     require(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_finite, require_kind
-from qsmc_jax.base.module import AbstractModule, float_field, require_parts
+from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import Draw
 from qsmc_jax.loop import ClosedLoop
@@ -43,7 +43,7 @@ class Scenario(AbstractModule):
     t1: Float[Array, ""] = float_field()
 
     def __check_init__(self):
-        require_parts(self)
+        require_fields(self)
         check_start(self.loop, self.x0, self.t1)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.base.checks import require, require_list
+from qsmc_jax.base.checks import require, require_count, require_kind, require_list
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.study.study import Study
@@ -73,6 +73,8 @@ class Landscape:
         Returns:
             The axes.
         """
+        if tuned is not None:
+            require_kind("tuned", tuned, Tuning, "Give what `tune` returned.")
         is_fitting = tuned is None or set(self.names) <= set(tuned.parameters)
         require(is_fitting, f"Argument `tuned` must have tuned {' and '.join(self.names)}; it has not.")
         return plot_contour(self, tuned, ax)
@@ -146,7 +148,7 @@ def landscape(
     require_list("subject_to", subject_to)
     names = tuple(parameters)
     require(len(names) == 2, f"Argument `parameters` must name two parameters, but is {list(names)}.")
-    require(points >= 2, f"Argument `points` must be at least 2, but is {points}.")
+    require_count("points", points, 2)
     objectives = tuple(parse_objective(each) for each in (objective, against) if each is not None)
     constraints = tuple(map(parse_constraint, subject_to))
     box = box_of(study, names)

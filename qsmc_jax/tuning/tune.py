@@ -135,7 +135,8 @@ class Search:
     descents: int
 
     def __post_init__(self):
-        require_count("steps", self.steps)
+        for name in ("steps", "starts", "descents"):
+            require_count(name, getattr(self, name))
         fits = 1 <= self.descents <= self.starts
         require(fits, f"Argument `descents` must lie in [1, {self.starts}], the `starts`, but is {self.descents}.")
 
@@ -153,7 +154,7 @@ class Claim:
         for name in ("risk", "confidence"):
             require_fraction(name, getattr(self, name))
         require_count("designs", self.designs)
-        require(self.runs >= 0, f"Argument `certificate_runs` must not be negative, but is {self.runs}.")
+        require_count("certificate_runs", self.runs, 0)
 
 
 def _has_maximum(batch: Batch) -> bool:

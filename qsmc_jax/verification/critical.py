@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from qsmc_jax.base.checks import require, require_fraction
+from qsmc_jax.base.checks import require, require_count, require_fraction
 from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
@@ -109,7 +109,7 @@ def critical_value(
     """
     require_study(study)
     require(side is None or side in get_args(Side), f"Argument `side` must be one of {[*get_args(Side)]}.")
-    require(steps >= 0, f"Argument `steps` must not be negative, but is {steps}.")
+    require_count("steps", steps, 0)
     ends = _ends(study, name, between)
     plan = plan_tests(below, confidence, steps, budget_per_test)
     settings = settings or SolverSettings()

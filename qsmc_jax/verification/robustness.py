@@ -156,13 +156,13 @@ class RobustnessMap:
     def _repr_html_(self) -> str:
         return as_html(str(self), self.plot)
 
-    def plot(self, dimensionless: bool = False, ax: Any = None) -> Any:
+    def plot(self, ax: Any = None, *, dimensionless: bool = False) -> Any:
         """The probability of leaving the funnel over the grid, and the medians, with the thresholds as lines.
 
         Args:
-            dimensionless: Whether to multiply the values by their `scales`; a name that has none keeps its units.
             ax: One matplotlib `Axes` and one more for each known median; None for a new figure, which also gets a
                 heading.
+            dimensionless: Whether to multiply the values by their `scales`; a name that has none keeps its units.
 
         Returns:
             The axes, (1 + known medians,).

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_finite
-from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.model.kinks import require_declared
+from qsmc_jax.model.kinks import as_times, require_declared
 
 
 class AbstractDisturbance(AbstractModule):
@@ -47,12 +47,9 @@ class AbstractDisturbance(AbstractModule):
 
     remedy: ClassVar[str] = "Use one of `qj.disturbances`, or derive from `qj.AbstractDisturbance`."
 
-    @once_per_structure
     def __check_init__(self):
-        name = f"`{type(self).__name__}`, a disturbance,"
-        program, result = trace(name, "the time", self, jax.ShapeDtypeStruct((), float))
-        require_number(name, result)
-        require_declared(name, program, (True,), self.break_times)
+        require_fields(self)
+        _require_disturbance(self)
 
     @abc.abstractmethod
     def __call__(self, t: RealScalarLike) -> RealScalarLike:
@@ -94,6 +91,17 @@ class AbstractDisturbance(AbstractModule):
 
     def __rmul__(self, scale: RealScalarLike) -> "AbstractDisturbance":
         return Scaled(scale, self)
+
+
+@once_per_structure
+def _require_disturbance(disturbance: AbstractDisturbance) -> None:
+    """Raises unless it can be traced, is one number, and jumps in time only if it is declared."""
+    name = f"`{type(disturbance).__name__}`, a disturbance,"
+    program, (value, times) = trace(
+        name, "a time", disturbance, lambda d, t: (d(t), as_times(d.break_times)), jax.ShapeDtypeStruct((), float)
+    )
+    require_number(name, value)
+    require_declared(name, program, 1, times.size)
 
 
 def no_breaks() -> Float[Array, " breaks"]:
@@ -164,7 +172,7 @@ class Sum(AbstractDisturbance):
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
-        return jnp.concatenate([term.break_times for term in self.terms])
+        return jnp.concatenate([as_times(term.break_times) for term in self.terms])
 
 
 class Scaled(AbstractDisturbance):
@@ -197,7 +205,7 @@ class Scaled(AbstractDisturbance):
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
-        return self.disturbance.break_times
+        return as_times(self.disturbance.break_times)
 
 
 def require_disturbances(name: str, values: tuple[object, ...]) -> None:

@@ -85,7 +85,7 @@ def random_sines(
     Source: normalised exponentials are Dirichlet(1, ..., 1); Devroye, Non-Uniform Random Variate Generation, XI.4.
     """
     require_positive("bound", bound)
-    _require_count("terms", terms)
+    require_count("terms", terms)
     low, high = _checked_range(frequencies)
     weights = draw.exponential(f"{name}.amplitude", 1.0, shape=(terms,))
     return SumOfSines(
@@ -169,7 +169,7 @@ def random_steps(
         [('gust.time[0]', 'gust.time[1]'), ('gust.level[0]', 'gust.level[1]', 'gust.level[2]')]
     """
     require_positive("bound", bound)
-    _require_count("steps", steps)
+    require_count("steps", steps)
     require_positive("horizon", horizon)
     require_positive("rise_time", rise_time)
     within = draw.uniform(f"{name}.time", 0.0, 1.0, shape=(steps,))
@@ -220,7 +220,7 @@ def random_noise(
     """
     require_positive("bound", bound)
     require_positive("cutoff", cutoff)
-    _require_count("terms", terms)
+    require_count("terms", terms)
     rms = bound / 3.0 if rms is None else rms
     require_positive("rms", rms)
     within = draw.uniform(f"{name}.frequency", 0.0, 1.0, shape=(terms,))
@@ -244,7 +244,3 @@ def _checked_range(frequencies: tuple[float, float]) -> tuple[float, float]:
         f"Argument `frequencies` must be (low, high) with 0 < low < high, but is {frequencies}.",
     )
     return low, high
-
-
-def _require_count(name: str, value: int) -> None:
-    require_count(name, value)

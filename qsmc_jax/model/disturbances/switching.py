@@ -11,6 +11,7 @@ from qsmc_jax.base.checks import is_traced, require, require_finite, require_pos
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.model.disturbances.disturbance import AbstractDisturbance, largest_bound, require_disturbances
+from qsmc_jax.model.kinks import as_times
 
 
 class Piecewise(AbstractDisturbance):
@@ -52,7 +53,7 @@ class Piecewise(AbstractDisturbance):
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
-        return jnp.concatenate([self.times, *(piece.break_times for piece in self.pieces)])
+        return jnp.concatenate([self.times, *(as_times(piece.break_times) for piece in self.pieces)])
 
 
 class Telegraph(AbstractDisturbance):
