@@ -174,10 +174,6 @@ MISTAKES = {
         lambda: qj.Scenario(PENDULUM, [0.9, 0.9], 1.0),
         "`loop` of `Scenario` must be of class `ClosedLoop`, but is of class `InvertedPendulum`",
     ),
-    "scenario that solves": (
-        lambda: qj.Study(lambda draw: qj.simulate(loop(), [0.9, 0.9], t1=draw.uniform("t1", 1.0, 2.0)), bandwidth=0.1),
-        r"must return a `Scenario\(loop, x0, t1\)`, but returns a `Trajectory`",
-    ),
     "scenario with if": (
         lambda: with_mu(branch),
         f"Argument `scenario` {INSTEAD}.* stand-ins for the numbers it draws",

@@ -172,7 +172,7 @@ def test_progress_counts_every_run_that_may_be_needed():
         ({"below": 0.0}, "`below` must lie strictly between 0 and 1, but is 0.0"),
         ({"below": 1.0}, "`below` must lie strictly between 0 and 1, but is 1.0"),
         ({"confidence": 0.0}, "`confidence` must lie strictly between 0 and 1"),
-        ({"steps": -1}, "`steps` must not be negative, but is -1"),
+        ({"steps": -1}, "`steps` must be at least 0, but is -1"),
         ({"between": (0.5, 0.5)}, "`between` must be two numbers in increasing order"),
         ({"between": (-1.0, 0.5)}, "`p` must lie in .0, 1., but is -1"),
         ({"between": (0.5, 2.0)}, "`p` must lie in .0, 1., but is 2"),

@@ -83,6 +83,7 @@ def test_a_saturation_that_suffices_holds(d):
     assert run.verdict == qj.Verdict.HELD
 
 
+@pytest.mark.slow
 def test_sigma_stays_within_the_funnel_and_the_bound_of_a_continuous_noise():
     """Even for noise wider than the funnel ends up: the law sees sigma + nu in the funnel, the proof with w + nu'."""
     study = example1_study(

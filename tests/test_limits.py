@@ -73,6 +73,7 @@ def known(study, **grids):
     return {(line.name, line.axis_name): line for line in found.thresholds}, found.scales
 
 
+@pytest.mark.slow
 def test_a_period_in_milliseconds_is_recognised(study):
     lines, scales = known(study, milliseconds=[1.0, 10.0, 100.0])
     wanted = 1e3 * 4.0 * RHO * G / (math.pi * (G**2 + W**2))

@@ -78,7 +78,7 @@ def make(order, peak, gain=1.0, settings=None):
     return Made(run, np.stack([disturbance.state(t) for t in run.ts[::100]]))
 
 
-ORDERS = pytest.mark.parametrize("order", [1, 2], ids=["n=1", "n=2"])
+ORDERS = pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)], ids=["n=1", "n=2"])
 PEAKS = pytest.mark.parametrize("peak", [0.1, 0.7, 0.99])
 
 

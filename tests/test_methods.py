@@ -53,6 +53,7 @@ def test_order_is_as_stated(name):
 
 
 @EVERY
+@pytest.mark.slow
 def test_dense_output_is_of_order_four(name):
     coarse, fine = errors(name, (60, 120), ts=np.linspace(0.0, 1.5, 977))
     assert np.log2(coarse / fine) > (2.7 if name == "rodas4" else 3.7)  # between the ends; RODAS's own is a cubic

@@ -38,7 +38,7 @@ def check_held(rho_inf, rtol, runs, block):
 
 
 @pytest.mark.parametrize("rtol", RTOL)
-@pytest.mark.parametrize("rho_inf", RHO_INF)
+@pytest.mark.parametrize("rho_inf", [pytest.param(RHO_INF[0], marks=pytest.mark.slow), *RHO_INF[1:]])
 def test_example1_is_held_from_random_starts(rho_inf, rtol):
     check_held(rho_inf, rtol, runs=64, block=64)
 

@@ -53,7 +53,12 @@ def test_there_are_pictures_of_every_result():
     }
 
 
-def test_a_run_and_a_verification_are_drawn_in_axes_of_the_caller(run, result):
+@pytest.mark.slow
+def test_a_verification_is_drawn_in_axes_of_the_caller(result):
+    draws_in_given_axes(result.plot, 3)
+
+
+def test_a_run_is_drawn_in_axes_of_the_caller(run, result):
     output, errors, inputs, funnel = draws_in_given_axes(run.plot, 4)
     np.testing.assert_array_equal(output.lines[0].get_ydata(), run.x[:, 0])
     np.testing.assert_array_equal(errors.lines[0].get_ydata(), run.e[:, 0])
@@ -61,7 +66,6 @@ def test_a_run_and_a_verification_are_drawn_in_axes_of_the_caller(run, result):
     np.testing.assert_array_equal(funnel.lines[0].get_ydata(), run.sigma)
     draws_in_given_axes(run.plot_funnel)
     draws_in_given_axes(result.plot_margin)
-    draws_in_given_axes(result.plot, 3)
 
 
 def test_axes_are_the_first_argument_of_every_picture():

@@ -90,6 +90,7 @@ def test_a_solve_that_fails_is_undecided_and_widens_the_interval():
     assert "max_steps" in found.conclusion()
 
 
+@pytest.mark.slow
 def test_the_ladder_decides_what_the_first_rung_could_not():
     """Too few steps for some runs with Tsit5, at either tolerance; the implicit rung has ten times as many."""
     found = qj.verify(study, BLOCK, block=BLOCK, settings=qj.SolverSettings(max_steps=100))

@@ -90,7 +90,8 @@ def test_the_delay(n, g, w):
 
 
 @pytest.mark.parametrize("g", [0.7, 3.0])
-@pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [2, 3])
 def test_the_lag(n, g):
     """From very near rest: larger swings are lost before the linearised loop is.
 

@@ -198,10 +198,15 @@ def _latin_hypercube(seed: int, runs: int, dim: int) -> np.ndarray:
     return np.clip(points, _HALF_CELL, 1.0 - _HALF_CELL)
 
 
-def _checked_indices(seed: int, indices: Indices, limit: int) -> np.ndarray:
-    """The indices as int64."""
+def require_seed(seed: int) -> None:
+    """Raises unless it is the seed of some design."""
     require(is_whole(seed), f"Argument `seed` must be a whole number, but is {seed!r}.")
     require(0 <= seed < 2**63, f"Argument `seed` must be in [0, 2**63), but is {seed}.")
+
+
+def _checked_indices(seed: int, indices: Indices, limit: int) -> np.ndarray:
+    """The indices as int64."""
+    require_seed(seed)
     array = np.asarray(indices) if len(indices) else np.empty(0, np.int64)
     require(
         array.ndim == 1 and array.dtype.kind in "iu",

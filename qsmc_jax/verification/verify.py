@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import Lanes
+from qsmc_jax.study.lanes import Lanes, thread_count
 from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
 from qsmc_jax.study.runs import Runs
-from qsmc_jax.study.sampling import AbstractSampling, Random
+from qsmc_jax.study.sampling import AbstractSampling, Random, require_seed
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.decided import part_of, through
@@ -73,6 +73,8 @@ def verify(
     """
     require_study(study)
     check_request(runs, confidence, worst, until)
+    require_seed(seed)
+    threads = thread_count(threads)
     settings, sampling = settings or SolverSettings(), sampling or Random()
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
