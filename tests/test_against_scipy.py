@@ -69,8 +69,8 @@ def case(n, route, *marks):
     return pytest.param(n, route, id=f"n={n}, {route}", marks=marks)
 
 
-# Each is a program to compile; the physical route of order 1 is also held to closed forms, in test_violations.
-QUICK = ((1, "funnel"), (2, "funnel"), (2, "physical"), (5, "funnel"))
+# Each is a program to compile; the physical route is also held to closed forms, in test_violations.
+QUICK = ((1, "funnel"), (2, "funnel"), (5, "funnel"))
 ROUTES = pytest.mark.parametrize(
     ("n", "route"),
     [

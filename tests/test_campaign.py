@@ -149,6 +149,7 @@ def test_comments_threads_and_block_size_change_no_row_and_are_no_other_study(tm
     new(tmp_path / "run", Recipe(study, "# a comment\n" + SOURCE, 1, block=128, threads=2))
 
 
+@pytest.mark.slow
 def test_a_module_that_the_study_imports_and_that_changed_is_noticed(tmp_path):
     folder = new(tmp_path / "run")
     run_campaign(folder, RECIPE, SIZE)

@@ -58,6 +58,7 @@ def test_occupancy_is_the_part_of_the_work_that_was_needed():
     assert workload.occupancy == pytest.approx(40 / 120)
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_the_order_in_which_they_are_solved(monkeypatch):
     sorted_rows, _ = solve()
     monkeypatch.setattr(Schedule, "order", lambda self, points, hint: np.arange(len(points)))

@@ -101,6 +101,7 @@ def test_the_lag(n, g):
     assert breaks(n, "lag", g, 0.0, 1.01 * limit, 60 * limit, spread=1e-3)
 
 
+@pytest.mark.slow
 def test_a_lag_alone_breaks_no_loop_of_order_1():
     """But for the shrinking of the funnel: there is no limit."""
     assert math.isinf(thresholds.critical_lag(1.0, 0.3, RHO))
