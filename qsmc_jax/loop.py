@@ -210,8 +210,8 @@ def _require_derivatives(pair: tuple[AbstractReference, int]) -> None:
     """Raises unless a reference has its derivatives up to an order, each one number."""
     reference, order = pair
     name, time = f"`derivatives` of `{type(reference).__name__}`", jax.ShapeDtypeStruct((), float)
-    call = trace(name, "a time and an order", reference, lambda r, t: tuple(r.derivatives(t, order)), time)
+    _, result = trace(name, "a time and an order", reference, lambda r, t: tuple(r.derivatives(t, order)), time)
     require(
-        len(call[1]) == order + 1 and all(map(is_number, call[1])),
-        f"{name} must return {order + 1} numbers for order {order}, but returns {described(call[1])}.",
+        len(result) == order + 1 and all(map(is_number, result)),
+        f"{name} must return {order + 1} numbers for order {order}, but returns {described(result)}.",
     )

@@ -45,10 +45,10 @@ def plant(**methods):
 
 
 class Push(qj.AbstractDisturbance):
-    """A disturbance by any function of time."""
+    """A disturbance by any function of time, and the times that it declares."""
 
     function: object
-    times: tuple[float, ...] = ()
+    times: object = ()
 
     def __call__(self, t):
         return self.function(t)
@@ -59,7 +59,7 @@ class Push(qj.AbstractDisturbance):
 
     @property
     def break_times(self):
-        return np.array(self.times)
+        return self.times
 
 
 class Turn(qj.AbstractReference):

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import qsmc_jax as qj
 from qsmc_jax.base.module import float_field
+from tests.mistakes import Push
 
 SINE = qj.references.SumOfSines([0.3], [1.0])
 WIDTH, HEIGHT, AT = 1e-3, 400.0, 2.0
@@ -43,24 +44,6 @@ QUIET = {
 }
 
 
-class Pushed(qj.AbstractDisturbance):
-    """Any function of time, and the times that are declared."""
-
-    function: object
-    times: object
-
-    def __call__(self, t):
-        return self.function(t)
-
-    @property
-    def bound(self):
-        return 1.0
-
-    @property
-    def break_times(self):
-        return self.times
-
-
 class Drifting(qj.AbstractPlant):
     """Any function of time and state."""
 
@@ -76,16 +59,16 @@ class Drifting(qj.AbstractPlant):
 
 @pytest.mark.parametrize("function", JUMPING.values(), ids=JUMPING)
 def test_what_may_jump_needs_a_declared_time(function):
-    with pytest.raises(ValueError, match=r"`Pushed`, a disturbance, may jump in time, .* or \[inf\] if it has none"):
-        Pushed(function, np.zeros(0))
+    with pytest.raises(ValueError, match=r"`Push`, a disturbance, may jump in time, .* or \[inf\] if it has none"):
+        Push(function)
     with pytest.raises(ValueError, match="`drift` of `Drifting` may jump in time"):
         Drifting(lambda t, x: x[0] + function(t))
-    Pushed(function, np.array([1.0]))
+    Push(function, np.array([1.0]))
 
 
 @pytest.mark.parametrize("function", QUIET.values(), ids=QUIET)
 def test_what_does_not_jump_needs_none(function):
-    Pushed(function, np.zeros(0))
+    Push(function)
 
 
 FRICTION = {
@@ -105,7 +88,7 @@ def test_jumps_in_the_state_are_no_jumps_in_time(function):
 
 @pytest.mark.parametrize("times", [[1.0], (1.0,), 1.0, np.inf, np.array([1.0, np.inf])], ids=str)
 def test_break_times_may_be_given_in_any_form(times):
-    one = Pushed(JUMPING["where"], times)
+    one = Push(JUMPING["where"], times)
     assert list((one + one).break_times) == 2 * list(np.atleast_1d(times))
 
 

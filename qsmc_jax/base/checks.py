@@ -25,7 +25,7 @@ def require(condition: bool, message: str) -> None:
         raise ValueError(message)
 
 
-def require_kind(name: str, value: Any, kind: type, remedy: str = "") -> None:
+def require_kind(name: str, value: Any, kind: type, remedy: str) -> None:
     """Raises unless `value` is an instance of a class; `remedy` says how to make one."""
     if not isinstance(value, kind):
         is_class = isinstance(value, type)

@@ -100,6 +100,7 @@ def as_float64(value: Any) -> Any:
         return value.astype(float) if jnp.issubdtype(value.dtype, jnp.integer) else value
     if isinstance(value, list | tuple) and any(isinstance(v, Tracer) for v in jax.tree.leaves(value)):
         return jnp.stack([jnp.asarray(v) for v in value])
-    if np.asarray(value).dtype.kind in _NO_NUMBERS:
+    array = np.asarray(value)
+    if array.dtype.kind in _NO_NUMBERS:
         raise ValueError(f"A number or a list of numbers is wanted, but {value!r} was given.")
-    return np.asarray(value, dtype=np.float64)
+    return np.asarray(array, dtype=np.float64)

@@ -5,11 +5,10 @@ import html
 import importlib
 import importlib.util
 from collections.abc import Callable, Mapping
-from io import BytesIO
 from typing import Any
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.plotting import off_screen
+from qsmc_jax.base.plotting import as_png
 
 _STYLE = "line-height:1.25;font-size:85%;margin:0.2em 0"
 
@@ -24,9 +23,7 @@ def as_html(text: str, draw: Callable[[], Any] | None = None) -> str:
     written = f'<pre style="{_STYLE}">{html.escape(text)}</pre>'
     if draw is None:
         return written
-    content = BytesIO()
-    off_screen(draw).savefig(content, format="png", dpi=80)
-    return f'{written}<img src="data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}">'
+    return f'{written}<img src="data:image/png;base64,{base64.b64encode(as_png(draw, dpi=80)).decode()}">'
 
 
 def as_frame(columns: Mapping[str, Any], index: str) -> Any:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextvars import ContextVar
+from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,18 @@ def off_screen(draw: Callable[[], Any]) -> Any:
         return np.ravel(draw())[0].figure
     finally:
         _is_off_screen.reset(token)
+
+
+def as_png(draw: Callable[[], Any], dpi: int) -> bytes:
+    """The picture that a call draws, off screen, as the content of a PNG file.
+
+    Args:
+        draw: Draws a picture and returns its axes.
+        dpi: Dots per inch.
+    """
+    content = BytesIO()
+    off_screen(draw).savefig(content, format="png", dpi=dpi)
+    return content.getvalue()
 
 
 def one_axes(ax: Any, size: tuple[float, float]) -> Any:

@@ -2,9 +2,8 @@
 
 What is said of a program is said of the operations in it, not of its values: a continuous function joined by
 `jnp.where` counts as one that may jump, as does a jump in the state inside a loop, where every real number counts as
-depending on time. A
-function with a derivative rule of its own (`jax.custom_jvp`, as in `jax.nn.softplus`) is judged by that rule, where it
-is differentiated, not by its body.
+depending on time. A function with a derivative rule of its own (`jax.custom_jvp`, as in `jax.nn.softplus`) is judged by
+that rule, where it is differentiated, not by its body.
 """
 
 from collections.abc import Iterator, Sequence

@@ -4,12 +4,11 @@ import base64
 import json
 import shlex
 from collections.abc import Callable, Mapping
-from io import BytesIO
 from typing import Any
 
 import jinja2
 
-from qsmc_jax.base.plotting import off_screen
+from qsmc_jax.base.plotting import as_png
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.report.drivers import Drivers
@@ -109,9 +108,7 @@ def _short(value: Any) -> str:
 
 
 def _draw(folder: RunFolder, name: str, draw: Callable[[], Any]) -> None:
-    content = BytesIO()
-    off_screen(draw).savefig(content, format="png", dpi=110)
-    write_whole(folder.path / "figures" / name, content.getvalue())
+    write_whole(folder.path / "figures" / name, as_png(draw, dpi=110))
 
 
 def _is_there(folder: RunFolder, name: str) -> bool:

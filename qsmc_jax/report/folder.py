@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.plotting import off_screen
+from qsmc_jax.base.plotting import as_png
 
 
 class ResultFolder:
@@ -55,8 +55,8 @@ class ResultFolder:
         (self._temporary / name).write_text(to_json(content) + "\n", encoding="utf-8")
 
     def add_figure(self, name: str, draw: Callable[[], Any]) -> None:
-        """Writes the picture that a call draws."""
-        off_screen(draw).savefig(self._temporary / name, dpi=150)
+        """Writes the picture that a call draws, as PNG."""
+        (self._temporary / name).write_bytes(as_png(draw, dpi=150))
 
     def commit(self) -> None:
         """Gives the folder its name."""

@@ -238,7 +238,8 @@ def check_values(specs: Sequence[DrawSpec], values: Mapping[str, Any]) -> dict[s
     """
     by_name = {spec.name: spec for spec in specs}
     for name in values:
-        require(name in by_name, _unknown_name(name, list(by_name)))
+        if name not in by_name:
+            raise ValueError(_unknown_name(name, list(by_name)))
     return {name: _checked_value(by_name[name], value) for name, value in values.items()}
 
 

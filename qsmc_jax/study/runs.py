@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.base.checks import nearest, require
+from qsmc_jax.base.checks import nearest
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.simulation.outcome import Verdict
 
@@ -44,10 +44,9 @@ class Runs:
     names: tuple[str, ...]
 
     def __getitem__(self, column: str) -> np.ndarray:
-        require(
-            column in self.columns,
-            f"There is no column `{column}`.{nearest(column, self.columns)} There are: {', '.join(self.columns)}.",
-        )
+        if column not in self.columns:
+            listed = ", ".join(self.columns)
+            raise ValueError(f"There is no column `{column}`.{nearest(column, self.columns)} There are: {listed}.")
         return self.columns[column]
 
     def __len__(self) -> int:

@@ -75,8 +75,8 @@ class Landscape:
         """
         if tuned is not None:
             require_kind("tuned", tuned, Tuning, "Give what `tune` returned.")
-        is_fitting = tuned is None or set(self.names) <= set(tuned.parameters)
-        require(is_fitting, f"Argument `tuned` must have tuned {' and '.join(self.names)}; it has not.")
+            is_fitting = set(self.names) <= set(tuned.parameters)
+            require(is_fitting, f"Argument `tuned` must have tuned {' and '.join(self.names)}; it has not.")
         return plot_contour(self, tuned, ax)
 
     def plot_pareto(self, ax: Any = None) -> Any:

@@ -56,9 +56,10 @@ class Term:
 
     def __post_init__(self):
         is_known = self.metric in METRICS or self.metric.startswith("peak_error[")
-        known = f"peak_error[i] or one of {', '.join(METRICS)}"
-        hint = nearest(self.metric, METRICS)
-        require(is_known, f"Argument `metric` must be {known}, but is `{self.metric}`.{hint}")
+        if not is_known:
+            known = f"peak_error[i] or one of {', '.join(METRICS)}"
+            hint = nearest(self.metric, METRICS)
+            raise ValueError(f"Argument `metric` must be {known}, but is `{self.metric}`.{hint}")
         require(bool(0.0 <= self.level < 1.0), f"Argument `level` must lie in [0, 1), but is {self.level}.")
         require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
 
