@@ -3,6 +3,7 @@
 from typing import cast
 
 import diffrax as dfx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -21,9 +22,12 @@ from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
 from qsmc_jax.simulation.sampled_figures import read_sampled_figures
 from qsmc_jax.simulation.sampled_loop import run_sampled
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
-from qsmc_jax.simulation.step_size import controller
+from qsmc_jax.simulation.step_size import StepSize
 from qsmc_jax.simulation.tally import Problem, first_tally
 from qsmc_jax.simulation.tsit5 import Tsit5
+
+# The first step, as a part of the loop's time scale. It grows tenfold with every step kept.
+_FIRST_STEP = 1e-3
 
 
 def pose(loop: ClosedLoop, bandwidth: RealScalarLike, settings: SolverSettings) -> Problem:
@@ -91,7 +95,7 @@ def _solve_ideal(
         y0=run0,
         args=problem,
         saveat=_saveat(times),
-        stepsize_controller=controller(problem.loop.break_times, horizon),
+        stepsize_controller=StepSize(problem.loop.break_times, _first_step(problem, x0, run0, horizon)),
         max_steps=settings.max_steps,
         adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(CHECKPOINTS),
         throw=False,
@@ -112,6 +116,12 @@ def _solve_ideal(
 def _carry(t: RealScalarLike, run: Run, problem: Problem) -> Run:
     """The vector field over the whole integrated state; the solver itself only ever asks for that of `y`."""
     return Run(problem.coordinates.vector_field(t, run.y, problem.loop), trees.zeros_like(run.tally))
+
+
+def _first_step(problem: Problem, x0: State, run0: Run, horizon: RealScalarLike) -> RealScalarLike:
+    r"""A part of the time that the loop needs to answer, $2 \rho / (\pi |g| \cosh^2 s)$, and of the horizon."""
+    answer = jnp.abs(problem.loop.plant.gain(0.0, x0)) * (1.0 + run0.tally.u**2) / problem.loop.control.funnel(0.0)
+    return jax.lax.stop_gradient(_FIRST_STEP / (1.0 / horizon + answer))
 
 
 def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:

@@ -13,6 +13,7 @@ from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.simulation.guarded_solver import Run
 from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.step_size import UNRESOLVED
 from qsmc_jax.simulation.tally import OutsideStep, Peak, Problem
 
 # A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and
@@ -169,6 +170,7 @@ def _outcome(problem: Problem, ending: Ending) -> Int[Array, ""]:
         (result == dfx.RESULTS.successful, Outcome.COMPLETED),
         (leaves, Outcome.LEFT_FUNNEL),
         (is_far, Outcome.BEYOND_RESOLUTION),
+        (result == UNRESOLVED, Outcome.UNRESOLVED),
         (is_stuck, Outcome.STEP_TOO_SMALL),
     )
     return first_to_apply(ending.refused, cases, Outcome.MAX_STEPS)

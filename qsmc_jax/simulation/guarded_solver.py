@@ -1,14 +1,19 @@
 """The solver of the closed loop: a diffrax method, a guard, and the tally."""
 
+import functools as ft
 from collections.abc import Callable
 from typing import Any, ClassVar
 
 import diffrax as dfx
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from qsmc_jax.base import trees
-from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.base.gudermann import sinh_cosh
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.numerics.unseen import Step as Stretch
+from qsmc_jax.simulation.guard import hidden
 from qsmc_jax.simulation.rosenbrock import Rosenbrock
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.tally import Problem, Step, Tally, add_step
@@ -19,6 +24,7 @@ from qsmc_jax.simulation.tsit5 import derivative_at_start
 ESCAPE = 30.0
 # |s| beyond which a candidate step is refused rather than kept: cosh(s) sinh(s) stays far from overflow.
 FARTHEST = 2.0 * ESCAPE
+_STABLE = float(__import__('os').environ.get('STABLE','3.3'))
 
 
 class Run(eqx.Module):
@@ -26,6 +32,13 @@ class Run(eqx.Module):
 
     y: Scalars
     tally: Tally
+
+
+class StepError(eqx.Module):
+    """What is wrong with a step, in units of what is tolerated: its local error, and what it may hide."""
+
+    local: RealScalarLike
+    hidden: RealScalarLike
 
 
 class _RunInterpolation(dfx.AbstractLocalInterpolation):
@@ -91,25 +104,29 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         args: Problem,
         solver_state: Any,
         made_jump: Any,
-    ) -> tuple[Run, Run, dict[str, Any], Any, dfx.RESULTS]:
+    ) -> tuple[Run, StepError, dict[str, Any], Any, dfx.RESULTS]:
         rate0 = derivative_at_start(_TERM, t0, y0.y, args, solver_state, made_jump)
         y1, error, dense, rate1, result = self.method.step(_TERM, t0, t1, y0.y, args, rate0, False)
-        s1 = args.coordinates.funnel_coordinate(args.loop, t1, y1)
+        ends = (args.coordinates.funnel_coordinate(args.loop, t, y) for t, y in ((t0, y0.y), (t1, y1)))
+        s0, s1 = ends
         is_sound = trees.is_finite((y1, error, rate1)) & (jnp.abs(s1) <= FARTHEST)
-        if isinstance(self.method, Rosenbrock):
-            is_sound = is_sound & ~_hides_growth(args, t0, t1, (y0.y, dense["middle"], y1))
+        step = Stretch(t0, t1, self.method.nodes)
+        unseen = hidden(args, step, (y0.y, dense["middle"], y1), (s0, s1), self.settings.rtol)
         y1, rate1 = trees.where(is_sound, (y1, rate1), (y0.y, rate0))
         tally = _ADD_STEP(args, y0.tally, Step(t0, t1, **{**dense, "y1": y1}, derivative=rate1))
-        error = Run(self._in_tolerances(args, error, y0.y, y1), trees.zeros_like(tally))
-        error = trees.where(is_sound, error, trees.full_like(error, jnp.inf))
+        local = self._in_tolerances(args, error, y0.y, y1)
+        if not isinstance(self.method, Rosenbrock):
+            local = jnp.maximum(local, (_decay(args, t0, t1, y1, s1) / _STABLE) ** 8)
+        error = StepError(jnp.where(is_sound, local, jnp.inf), unseen)
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
         return Run(y1, tally), error, {"inner": dense, "tally": tally}, rate1, result
 
-    def _in_tolerances(self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars) -> Scalars:
+    def _in_tolerances(self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars) -> RealScalarLike:
+        """The largest error, in units of what is tolerated."""
         size = tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(y0, y1, strict=True))
         tolerances = problem.coordinates.tolerances(size, self.settings)
-        return tuple(each / tolerance for each, tolerance in zip(error, tolerances, strict=True))
+        return ft.reduce(jnp.maximum, [jnp.abs(e) / tolerance for e, tolerance in zip(error, tolerances, strict=True)])
 
 
 @eqx.filter_jit  # so that its many calls in a step are traced once
@@ -117,20 +134,16 @@ def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
     return problem.fence(problem.coordinates.vector_field(t, y, problem.loop))
 
 
-def _hides_growth(
-    problem: Problem, t0: RealScalarLike, t1: RealScalarLike, ys: tuple[Scalars, Scalars, Scalars]
-) -> BoolScalarLike:
-    """Whether sigma grows in the step, since the gain has the wrong sign, too fast for an implicit method to show it.
-
-    Such methods damp whatever is fast, growth included: a loop at rest would seem to stay there. The gain is looked at
-    where the step starts, halfway and where it ends, given the coordinates there.
-    """
-    loop, h = problem.loop, t1 - t0
-    growth = jnp.zeros(())
-    for t, y in zip((t0, t0 + 0.5 * h, t1), ys, strict=True):
-        outward = -loop.control.gain_sign * loop.plant.gain(t, problem.coordinates.state(loop, t, y))
-        growth = jnp.maximum(growth, outward)
-    return h * growth * (0.5 * jnp.pi) / loop.control.funnel(t1) > 1.0
+def _decay(
+    problem: Problem, t0: RealScalarLike, t1: RealScalarLike, y1: Scalars, s1: RealScalarLike
+) -> RealScalarLike:
+    r"""By how much a deviation of s decays within a step, $h |g| \frac{\pi}{2\rho} \cosh 2s$ [-]."""
+    loop = problem.loop
+    gain = loop.plant.gain(t1, problem.coordinates.state(loop, t1, y1))
+    sinh, _ = sinh_cosh(s1)
+    return jax.lax.stop_gradient(
+        (t1 - t0) * jnp.abs(gain) * (0.5 * jnp.pi) * (1.0 + 2.0 * sinh**2) / loop.control.funnel(t1)
+    )
 
 
 _TERM = dfx.ODETerm(_field)

@@ -41,6 +41,7 @@ class Outcome(enum.IntEnum):
     BEYOND_RESOLUTION = 6
     LOST = 7
     QUEUE_FULL = 8
+    UNRESOLVED = 9
 
     @property
     def advice(self) -> str:
@@ -63,6 +64,8 @@ _ADVICE = {
     "back: the disturbance or drift is huge against the gain.",
     Outcome.LOST: "Left the funnel for good, a thousand of its widths away, and was not followed further: sample "
     "faster, or allow more input.",
+    Outcome.UNRESOLVED: "The drift, gain, disturbance or reference may do something within the shortest step that could "
+    "not be ruled out: it has no bound there, or the reference jumps and the plant with it.",
     Outcome.QUEUE_FULL: "The delay is longer than the samples that can be under way: raise `queue` of the "
     "`Implementation` above the delay over the period.",
 }

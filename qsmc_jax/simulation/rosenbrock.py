@@ -8,6 +8,7 @@ Source: Hairer and Wanner, Solving Ordinary Differential Equations II, section I
 """
 
 import dataclasses
+import functools as ft
 from typing import Any, ClassVar
 
 import diffrax as dfx
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 
 from qsmc_jax.base.linear import Factors, eliminate, substitute
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.numerics.unseen import Nodes
 from qsmc_jax.simulation.explicit import weighted
 from qsmc_jax.simulation.quartic_interpolation import QuarticInterpolation
 from qsmc_jax.simulation.tsit5 import derivative_at_start
@@ -64,6 +66,11 @@ class Rosenbrock(dfx.AbstractAdaptiveSolver):
     term_structure: ClassVar = dfx.AbstractTerm
     interpolation_cls: ClassVar = QuarticInterpolation
 
+    @property
+    def nodes(self) -> Nodes:
+        """Where in a step it looks: at its stages, and at the middle."""
+        return _nodes(self.tableau)
+
     def order(self, terms: Any) -> int:
         return self.tableau.order
 
@@ -101,6 +108,12 @@ class Rosenbrock(dfx.AbstractAdaptiveSolver):
         between = _middle_error(terms, t0 + 0.5 * h, args, factors, dense, frequency)
         error = tuple(jnp.maximum(jnp.abs(a), _SHARE * jnp.abs(b)) for a, b in zip(stages[-1], between, strict=True))
         return y1, error, dense, terms.vf(t1, y1, args), dfx.RESULTS.successful
+
+
+@ft.cache
+def _nodes(tableau: RosenbrockTableau) -> Nodes:
+    places = tuple(sorted({*tableau.c, 0.5}))
+    return Nodes(places, few=(0.0, min(places, key=lambda place: abs(place - 0.45)), 1.0))
 
 
 def _linearised(terms: Any, t: RealScalarLike, y: Scalars, args: Any) -> tuple[list[Scalars], Scalars]:

@@ -1,75 +1,48 @@
-"""The length of the steps: adaptive, on the error of the coordinates alone, stopping where the disturbance breaks."""
+"""The length of the steps: adaptive, on the error that the solver reports, ending where the loop breaks."""
 
 from typing import Any
 
 import diffrax as dfx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-import optimistix as optx
+import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.simulation.guarded_solver import Run
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 
-# The least step, relative to the horizon: some five units in the last place of t. A loop that leaves its funnel ends
-# there.
-_LEAST_STEP = 1e-15
-# The longest step, relative to the horizon: at rest nothing else keeps a step from passing over what is short and rare.
-_LONGEST_STEP = 0.005
-# The first step, relative to the horizon: small, so that no start is too stiff for it. It grows tenfold with every step
-# kept.
-_FIRST_STEP = 1e-6
+# By how much a step may shrink or grow from one to the next, and what is aimed for below the tolerance.
+_SHRINKS_BY, _GROWS_BY, _SAFETY = 0.2, 10.0, 0.9
 # Grains of the error that the controller sees, in its 16th root: too coarse for rounding, too fine to cost a step.
 _GRAINS = 1024.0
-# Break times closer than this, relative to the horizon, are one and the same up to rounding.
+# Part of a step by which it is stretched to end on a break rather than just before.
+_STRETCH = 1e-3
+# Break times closer than this, relative to themselves, are one and the same up to rounding.
 _SAME_TIME = 1e-13
+# A step of so many units in the last place of time, relative to it, is the shortest.
+_SHORTEST = 8.0 * float(np.finfo(float).eps)
+# Power of what a step hides that counts as an error: the step then changes by about its root.
+_STEEPNESS = 4
+# What a run ends with whose shortest step still hides something.
+UNRESOLVED = dfx.RESULTS.nonlinear_divergence
 
 
-def controller(break_times: Float[Array, " breaks"], horizon: RealScalarLike) -> dfx.AbstractStepSizeController:
-    """PI control of errors in units of what is tolerated, with exponents 1/8 and -1/16 for this step and the last."""
-    adaptive = dfx.PIDController(
-        rtol=0.0,
-        atol=1.0,
-        norm=_norm,
-        pcoeff=1.0,
-        icoeff=1.0,
-        error_order=1.0,
-        dtmin=_LEAST_STEP * horizon,
-        dtmax=_LONGEST_STEP * horizon,
-        force_dtmin=False,
-    )
-    breaks, first = jnp.sort(jnp.asarray(break_times)), _FIRST_STEP * horizon
-    if breaks.size == 0:
-        return _Started(adaptive, first)
-    is_new = jnp.concatenate([jnp.ones(1, bool), jnp.diff(breaks) > _SAME_TIME * horizon])
-    stopping = dfx.ClipStepSizeController(adaptive, jump_ts=jnp.where(is_new, breaks, jnp.inf))
-    return _Started(stopping, first)
+class StepSize(dfx.AbstractStepSizeController):
+    """PI control of errors in units of what is tolerated, with exponents 1/8 and -1/16 for this step and the last.
 
+    Steps end just before a break, and the next begins just after it, whether the function jumps from the left or from
+    the right. The controller's state is the error of the last step kept.
 
-def _norm(error: Run) -> Float[Array, ""]:
-    """The 16th root of the largest error, rounded up: the controller's powers are then 2 and -1, which cost nothing.
-
-    Rounded, it is the same in programs that differ in the last place. Where stability limits the steps these are a
-    chaotic sequence otherwise: reverse mode, which makes parts of a run again, would differentiate another run.
-    """
-    root = jax.lax.stop_gradient(optx.max_norm(error.y))
-    for _ in range(4):
-        root = jnp.sqrt(root)
-    return jnp.ceil(root * _GRAINS) / _GRAINS
-
-
-class _Started(dfx.AbstractStepSizeController):
-    """Another controller with its first step given.
-
-    Given to `diffeqsolve` instead, a first step that is being traced is checked by a callback to Python, with which no
-    compiled program can be cached.
+    Attributes:
+        breaks: Break times [s], in any order; unused places hold `inf`.
+        first: Length of the first step [s].
     """
 
-    inner: dfx.AbstractStepSizeController
+    breaks: Float[Array, " breaks"]
     first: RealScalarLike
 
-    def wrap(self, direction: Any) -> dfx.AbstractStepSizeController:
-        return _Started(self.inner.wrap(direction), self.first)
+    def wrap(self, direction: Any) -> "StepSize":
+        return self
 
     def init(
         self,
@@ -81,8 +54,8 @@ class _Started(dfx.AbstractStepSizeController):
         args: Any,
         func: Any,
         error_order: RealScalarLike | None,
-    ) -> tuple[RealScalarLike, Any]:
-        return self.inner.init(terms, t0, t1, y0, self.first, args, func, error_order)
+    ) -> tuple[RealScalarLike, RealScalarLike]:
+        return self._end(t0, self.first), jnp.ones(())
 
     def adapt_step_size(
         self,
@@ -93,6 +66,50 @@ class _Started(dfx.AbstractStepSizeController):
         args: Any,
         y_error: Any,
         error_order: RealScalarLike,
-        controller_state: Any,
+        controller_state: RealScalarLike,
     ) -> tuple[Any, ...]:
-        return self.inner.adapt_step_size(t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state)
+        error, last = _root(jnp.maximum(y_error.local, y_error.hidden**_STEEPNESS)), controller_state
+        is_kept = error < 1.0
+        factor = _SAFETY * last / jnp.maximum(error, 1e-30) ** 2
+        low, high = jnp.where(is_kept, 1.0, _SHRINKS_BY), jnp.where(is_kept, _GROWS_BY, _SAFETY)
+        factor = eqxi.nondifferentiable(jnp.clip(factor, low, high))
+        start, made_jump = self._start(jnp.where(is_kept, t1, t0), is_kept)
+        # An error of zero says nothing of how the next step should be.
+        told = jnp.where(is_kept & (error > 0.0), error, jnp.where(is_kept, 1.0, last))
+        # A step that is refused though time resolves none much shorter is the last one.
+        is_last = ~is_kept & (t1 - t0 <= _SHORTEST * jnp.abs(t1))
+        cause = dfx.RESULTS.where(y_error.hidden < 1.0, dfx.RESULTS.dt_min_reached, UNRESOLVED)
+        result = dfx.RESULTS.where(is_last, cause, dfx.RESULTS.successful)
+        return is_kept, start, self._end(start, (t1 - t0) * factor), made_jump, told, result
+
+    def _start(self, t: RealScalarLike, is_kept: BoolScalarLike) -> tuple[RealScalarLike, Any]:
+        """Where a step begins that follows one which ended at `t`: past a break that ended it."""
+        if self.breaks.size == 0:
+            return t, False
+        reached = eqxi.nextafter(t)
+        ends_here = jnp.any(self.breaks == reached) & is_kept
+        is_same = self.breaks <= reached + _SAME_TIME * jnp.abs(reached)
+        last = jnp.max(jnp.where(is_same, self.breaks, -jnp.inf))
+        return jnp.where(ends_here, eqxi.nextafter(jnp.where(ends_here, last, 0.0)), t), ends_here
+
+    def _end(self, start: RealScalarLike, length: RealScalarLike) -> RealScalarLike:
+        """Where a step ends that should have a certain length: before the next break at the latest."""
+        end = jnp.maximum(start + length, eqxi.nextafter(start))
+        if self.breaks.size == 0:
+            return end
+        ahead = jnp.min(jnp.where(self.breaks > start, self.breaks, jnp.inf))
+        is_cut = end + _STRETCH * length >= ahead
+        return jnp.where(is_cut, eqxi.prevbefore(jnp.where(is_cut, ahead, 0.0)), end)
+
+
+def _root(error: RealScalarLike) -> Float[Array, ""]:
+    """The 16th root of an error, rounded up: the controller's powers are then 2 and -1, which cost nothing.
+
+    Rounded, it is the same in programs that differ in the last place. Where stability limits the steps these are a
+    chaotic sequence otherwise: reverse mode, which makes parts of a run again, would differentiate another run.
+    """
+    error = jax.lax.stop_gradient(error)
+    root = jnp.where(jnp.isnan(error), jnp.inf, error)
+    for _ in range(4):
+        root = jnp.sqrt(root)
+    return jnp.ceil(root * _GRAINS) / _GRAINS

@@ -6,6 +6,7 @@ import diffrax as dfx
 import jax.numpy as jnp
 
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.numerics.unseen import Nodes
 from qsmc_jax.simulation.explicit import explicit_stages, weighted
 from qsmc_jax.simulation.quartic_interpolation import QuarticInterpolation
 
@@ -30,6 +31,7 @@ class Tsit5(dfx.AbstractAdaptiveSolver):
     Source: Tsitouras (2011), Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption.
     """
 
+    nodes: ClassVar = Nodes((0.0, *map(float, _TABLEAU.c)), few=(0.0, float(_TABLEAU.c[1]), 1.0))
     term_structure: ClassVar = dfx.AbstractTerm
     interpolation_cls: ClassVar = QuarticInterpolation
 

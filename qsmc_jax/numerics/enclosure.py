@@ -1,0 +1,332 @@
+"""Enclosures of traced functions: a program is walked with intervals in place of numbers.
+
+What depends on points alone is computed as it stands, so that a function of time costs only what depends on time. The
+walk enters `jit`, custom derivatives, `checkpoint`, `cond` and loops of fixed length. What it has no rule for can be
+anything, and is named.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+from jaxtyping import Array
+
+from qsmc_jax.numerics import intervals
+from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, everything, hull, interval, is_point, truth
+from qsmc_jax.numerics.rounding import Rounding
+
+# Operations that a loop of fixed length may unroll to.
+_LONGEST = 4096
+
+_CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call"}
+_CALLS |= {"custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}
+_PROGRAMS = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+
+# Monotone in every operand, so that the ends of the result are the results of the ends.
+_SHAPING = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "transpose", "slice", "concatenate", "pad", "rev"}
+_SHAPING |= {"copy", "copy_p", "stack", "split", "stop_gradient", "optimization_barrier", "reduce_precision"}
+_GROWING = {"reduce_max", "reduce_min", "cummax", "cummin"}
+
+_JUMPING = {"sign", "floor", "ceil", "round"}
+_POLES = {"div", "tan"}
+
+
+class Enclosure(NamedTuple):
+    """What is known of a function over a box.
+
+    Attributes:
+        values: Its results, flat: points where they do not depend on an interval, else intervals or truths.
+        jumps: Whether it may jump in the box.
+        unknown: Primitives without a rule that it uses, whose results can be anything.
+    """
+
+    values: tuple[Enclosed, ...]
+    jumps: Any
+    unknown: tuple[str, ...]
+
+
+def enclose(fn: Callable[..., Any], *box: Enclosed, rounding: Rounding = Rounding.NEAREST) -> Enclosure:
+    """Encloses a function of scalars over a box.
+
+    Args:
+        fn: A function that JAX can trace; its results are numbers, or pytrees of them.
+        *box: Its arguments, each a point or an `Interval`.
+        rounding: How the ends are rounded.
+    """
+    points = [jnp.asarray(side) if is_point(side) else side.lo for side in box]
+    program = jax.make_jaxpr(fn)(*points)
+    walk = _Walk(rounding)
+    values = walk.run(program.jaxpr, program.consts, box)
+    return Enclosure(tuple(values), walk.jumps, tuple(sorted(walk.unknown)))
+
+
+class _Walk:
+    """One pass through a program; what it finds on the way."""
+
+    def __init__(self, rounding: Rounding):
+        self.rounding, self.jumps = rounding, jnp.zeros((), bool)
+        self.unknown: set[str] = set()
+
+    def run(self, jaxpr: Jaxpr, consts: Sequence[Any], arguments: Sequence[Enclosed]) -> list[Enclosed]:
+        known: dict[Any, Enclosed] = dict(zip(jaxpr.constvars, consts, strict=True))
+        known.update(zip(jaxpr.invars, arguments, strict=True))
+        read = lambda var: var.val if isinstance(var, Literal) else known[var]  # noqa: E731
+        for eqn in jaxpr.eqns:
+            known.update(zip(eqn.outvars, self._results(eqn, [read(var) for var in eqn.invars]), strict=True))
+        return [read(var) for var in jaxpr.outvars]
+
+    def _results(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Sequence[Enclosed]:
+        name = eqn.primitive.name
+        if name in _CALLS:
+            return self._call(eqn, operands)
+        if all(map(is_point, operands)):
+            return _computed(eqn, operands)
+        if _is_complex(eqn):
+            return self._anything(eqn)
+        if name in ("cond", "scan"):
+            return (self._cond if name == "cond" else self._scan)(eqn, operands)
+        result = self._result(name, eqn, operands)
+        if result is None:
+            return self._anything(eqn)
+        return result if eqn.primitive.multiple_results else [result]
+
+    def _result(self, name: str, eqn: JaxprEqn, operands: list[Enclosed]) -> Any:
+        """The result of one operation, None if there is no rule for it."""
+        if name in RULES:
+            result = RULES[name](self.rounding, *operands, **eqn.params)
+            if name in _JUMPING:
+                self._note(result.lo != result.hi)
+            if name in _POLES:
+                self._note(jnp.isinf(result.lo) & jnp.isinf(result.hi))
+            if name == "atan2":
+                self._note((result.lo <= -math.pi) & (result.hi >= math.pi))
+            if name == "rem":
+                self._note((result.lo <= 0) & (result.hi - result.lo >= 0.5 * interval(operands[1]).hi))
+            return result
+        if name == "select_n":
+            return self._select(operands[0], operands[1:])
+        if name in _SHAPING | _GROWING or (name == "sort" and len(operands) == 1):
+            return _by_ends(eqn, operands)
+        structural = {
+            "convert_element_type": self._convert,
+            "reduce_sum": self._sum,
+            "cumsum": self._sum,
+            "dot_general": self._dot,
+            "reduce_and": _reduced_truth,
+            "reduce_or": _reduced_truth,
+            "argmax": self._argmax,
+            "gather": self._gather,
+            "dynamic_slice": self._gather,
+        }
+        return structural[name](eqn, operands) if name in structural else None
+
+    def _anything(self, eqn: JaxprEqn) -> list[Enclosed]:
+        self.unknown.add(eqn.primitive.name)
+        self._note(jnp.ones((), bool))
+        return [everything(var.aval) for var in eqn.outvars]
+
+    def _note(self, jumps: Any) -> None:
+        self.jumps = self.jumps | jnp.any(jumps)
+
+    def _call(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Sequence[Enclosed]:
+        named = {"_interp": self._interpolated, "searchsorted": self._searched}.get(eqn.params.get("name", ""))
+        if named is not None and not is_point(operands[-1 if eqn.params["name"] == "searchsorted" else 0]):
+            result = named(eqn, operands)
+            if result is not None:
+                return [result]
+        program = next(eqn.params[key] for key in _PROGRAMS if key in eqn.params)
+        is_closed = isinstance(program, ClosedJaxpr)
+        return self.run(program.jaxpr if is_closed else program, program.consts if is_closed else (), operands)
+
+    def _interpolated(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval | None:
+        """`jnp.interp`: the values at the ends, and at the knots between them."""
+        at, knots, values = operands
+        if not (is_point(knots) and is_point(values)) or np.ndim(at.lo) or np.ndim(knots) != 1:
+            return None
+        program = eqn.params["jaxpr"]
+        ends = [jax.core.eval_jaxpr(program.jaxpr, program.consts, end, knots, values)[0] for end in at]
+        is_between = (knots > at.lo) & (knots < at.hi)
+        low = jnp.min(jnp.where(is_between, values, jnp.inf), initial=jnp.inf)
+        high = jnp.max(jnp.where(is_between, values, -jnp.inf), initial=-jnp.inf)
+        known = Interval(jnp.minimum(low, jnp.minimum(*ends)), jnp.maximum(high, jnp.maximum(*ends)))
+        return self.rounding(known, units=8)
+
+    def _searched(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval | None:
+        """`jnp.searchsorted`: its place grows with what is looked for."""
+        table, sought = operands
+        if not is_point(table):
+            return None
+        program = eqn.params["jaxpr"]
+        return Interval(*(jax.core.eval_jaxpr(program.jaxpr, program.consts, table, end)[0] for end in sought))
+
+    def _select(self, which: Enclosed, cases: Sequence[Enclosed]) -> Enclosed:
+        if is_point(which):
+            return _mapped(lambda *ends: jax.lax.select_n(which, *ends), cases)
+        if isinstance(which, Truth):
+            possible = [which.may_not, which.may]
+        else:
+            possible = [(which.lo <= k) & (k <= which.hi) for k in range(len(cases))]
+        self._note(sum(jnp.asarray(p, int) for p in possible) > 1)
+        return hull([_where_possible(p, case) for p, case in zip(possible, cases, strict=True)])
+
+    def _cond(self, eqn: JaxprEqn, operands: list[Enclosed]) -> list[Enclosed]:
+        which, *arguments = operands
+        outcomes = [self.run(branch.jaxpr, branch.consts, arguments) for branch in eqn.params["branches"]]
+        return [self._branched(which, cases) for cases in zip(*outcomes, strict=True)]
+
+    def _branched(self, which: Enclosed, cases: Sequence[Enclosed]) -> Enclosed:
+        shape = np.shape(interval(cases[0]).lo)
+        spread = lambda end: jnp.broadcast_to(jnp.clip(end, 0, len(cases) - 1), shape)  # noqa: E731
+        index = interval(which)
+        return self._select(Interval(spread(index.lo), spread(index.hi)), cases)
+
+    def _scan(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Sequence[Enclosed]:
+        """A loop of fixed length, unrolled."""
+        params, body = eqn.params, eqn.params["jaxpr"]
+        if params["length"] * len(body.jaxpr.eqns) > _LONGEST:
+            return self._anything(eqn)
+        consts, carry = params["num_consts"], params["num_carry"]
+        state, rows = list(operands[consts : consts + carry]), operands[consts + carry :]
+        stacked: list[list[Enclosed]] = []
+        order = range(params["length"])
+        for k in reversed(order) if params["reverse"] else order:
+            row = [_mapped(lambda end, k=k: end[k], [values]) for values in rows]
+            results = self.run(body.jaxpr, body.consts, [*operands[:consts], *state, *row])
+            state = results[:carry]
+            stacked.append(results[carry:])
+        stacked = stacked[::-1] if params["reverse"] else stacked
+        return [*state, *(_mapped(lambda *ends: jnp.stack(ends), column) for column in zip(*stacked, strict=True))]
+
+    def _convert(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Enclosed:
+        (value,), new = operands, eqn.params["new_dtype"]
+        if new == bool:
+            return value if isinstance(value, Truth) else RULES["ne"](self.rounding, value, 0)
+        ends = interval(value)
+        if jnp.issubdtype(new, jnp.integer):
+            largest = jnp.iinfo(new)
+            fits = [jnp.clip(end, max(largest.min, _least(end)), min(largest.max, _most(end))) for end in ends]
+            ends = Interval(*fits)
+        result = Interval(ends.lo.astype(new), ends.hi.astype(new))
+        if isinstance(value, Truth) or (_is_real(ends.lo) and not _is_real(result.lo)):
+            self._note(result.lo != result.hi)
+        return result
+
+    def _sum(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+        (low, high), terms = _by_ends(eqn, operands), max(np.size(operands[0].lo), 1)
+        if self.rounding is Rounding.NEAREST or not _is_real(low):
+            return Interval(low, high)
+        (size,) = _computed(eqn, [intervals.absolute(self.rounding, operands[0]).hi])
+        slack = 2.0 * terms * jnp.finfo(low.dtype).eps * jnp.abs(size)
+        return self.rounding(Interval(low - slack, high + slack))
+
+    def _argmax(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+        """From the first place that can be highest, to the first that is sure to be, or the last that can."""
+        low, high = interval(operands[0])
+        (axis,), kind = eqn.params["axes"], eqn.outvars[0].aval.dtype
+        can = high >= jnp.max(low, axis=axis, keepdims=True)
+        is_sure = low >= jnp.max(high, axis=axis, keepdims=True)
+        last = low.shape[axis] - 1 - jnp.argmax(jnp.flip(can, axis), axis=axis)
+        last = jnp.where(jnp.any(is_sure, axis=axis), jnp.argmax(is_sure, axis=axis), last)
+        return Interval(jnp.argmax(can, axis=axis).astype(kind), last.astype(kind))
+
+    def _dot(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+        """By middles and radii, which is exact where one operand is a point."""
+        a, b = map(interval, operands)
+        (mid_a, rad_a), (mid_b, rad_b) = ((0.5 * (e.lo + e.hi), 0.5 * (e.hi - e.lo)) for e in (a, b))
+        dot = lambda p, q: _computed(eqn, [p, q])[0]  # noqa: E731
+        size_a, size_b = jnp.abs(mid_a), jnp.abs(mid_b)
+        middle, radius = dot(mid_a, mid_b), dot(size_a, rad_b) + dot(rad_a, size_b) + dot(rad_a, rad_b)
+        if self.rounding is Rounding.OUTWARD:
+            terms = np.size(a.lo) + np.size(b.lo)
+            radius = radius + 4.0 * terms * jnp.finfo(middle.dtype).eps * (dot(size_a, size_b) + radius)
+        return self.rounding(Interval(middle - radius, middle + radius))
+
+    def _gather(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Enclosed:
+        """Entries of an array: of the places that the index can have where they are known, else of all."""
+        table, *places = operands
+        if all(map(is_point, places)):
+            return _mapped(lambda end: _computed(eqn, [end, *places])[0], [table])
+        self._note(jnp.any(jnp.stack([jnp.any(interval(place).lo != interval(place).hi) for place in places])))
+        shape, table = eqn.outvars[0].aval.shape, interval(table)
+        is_reached = jnp.ones(table.lo.shape, bool)
+        if np.ndim(table.lo) == 1 and len(places) == 1 and np.prod(shape) == np.size(interval(places[0]).lo) == 1:
+            size = table.lo.shape[0]
+            low, high = (jnp.clip(jnp.reshape(end, ()), 0, size - 1) for end in interval(places[0]))
+            is_reached = (jnp.arange(size) >= low) & (jnp.arange(size) <= high)
+        low = jnp.min(jnp.where(is_reached, table.lo, _extreme(table.lo, 1)))
+        high = jnp.max(jnp.where(is_reached, table.hi, _extreme(table.hi, -1)))
+        return Interval(jnp.full(shape, low), jnp.full(shape, high))
+
+
+def _computed(eqn: JaxprEqn, operands: Sequence[Any]) -> Sequence[Any]:
+    """The operation on points."""
+    result = eqn.primitive.bind(*operands, **eqn.params)
+    return result if eqn.primitive.multiple_results else [result]
+
+
+def _by_ends(eqn: JaxprEqn, operands: Sequence[Enclosed]) -> Any:
+    """The operation on the lower ends, and on the upper ones."""
+    is_many = eqn.primitive.multiple_results
+    parts = [_computed(eqn, [end[k] for end in _as_pairs(operands)]) for k in (0, 1)]
+    kind = Truth if any(isinstance(value, Truth) for value in operands) else Interval
+    results = [kind(low, high) for low, high in zip(*parts, strict=True)]
+    return results if is_many else results[0]
+
+
+def _mapped(fn: Callable[..., Any], values: Sequence[Enclosed]) -> Enclosed:
+    """A function of structure alone, such as indexing, on each end."""
+    if all(map(is_point, values)):
+        return fn(*values)
+    pairs = _as_pairs(values)
+    kind = Truth if any(isinstance(value, Truth) for value in values) else Interval
+    return kind(*(fn(*(pair[k] for pair in pairs)) for k in (0, 1)))
+
+
+def _as_pairs(values: Sequence[Enclosed]) -> list[Any]:
+    is_truth = any(isinstance(value, Truth) for value in values)
+    return [truth(value) if is_truth else interval(value) for value in values]
+
+
+def _where_possible(possible: Array, case: Enclosed) -> Enclosed:
+    """The case, or what adds nothing to a hull where it is not possible."""
+    if isinstance(case, Truth) or interval(case).lo.dtype == bool:
+        case = truth(case)
+        return Truth(case.may & possible, case.may_not & possible)
+    case = interval(case)
+    low = jnp.where(possible, case.lo, _extreme(case.lo, 1))
+    return Interval(low, jnp.where(possible, case.hi, _extreme(case.hi, -1)))
+
+
+def _reduced_truth(eqn: JaxprEqn, operands: list[Truth]) -> Truth:
+    (value,), axes = operands, eqn.params["axes"]
+    some, every = (jnp.any, jnp.all) if eqn.primitive.name == "reduce_or" else (jnp.all, jnp.any)
+    return Truth(some(value.may, axis=axes), every(value.may_not, axis=axes))
+
+
+def _most(like: Array) -> Any:
+    return math.inf if _is_real(like) else jnp.iinfo(jnp.result_type(like)).max
+
+
+def _least(like: Array) -> Any:
+    return -math.inf if _is_real(like) else jnp.iinfo(jnp.result_type(like)).min
+
+
+def _extreme(like: Array, sign: int) -> Any:
+    """The largest number of an array's type, or the least."""
+    if _is_real(like):
+        return sign * jnp.inf
+    ends = jnp.iinfo(jnp.result_type(like))
+    return jnp.asarray(ends.max if sign > 0 else ends.min, jnp.result_type(like))
+
+
+def _is_real(value: Any) -> bool:
+    return bool(jnp.issubdtype(jnp.result_type(value), jnp.inexact))
+
+
+def _is_complex(eqn: JaxprEqn) -> bool:
+    types = [getattr(var.aval, "dtype", float) for var in (*eqn.invars, *eqn.outvars)]
+    return any(jnp.issubdtype(kind, jnp.complexfloating) for kind in types)

@@ -1,0 +1,401 @@
+r"""Interval arithmetic on JAX arrays, one rule for each primitive of a traced program.
+
+A rule takes the operands of the primitive, each a plain array (a point), an `Interval` or a `Truth`, and encloses every
+value that the primitive takes on them. Rules for partial functions clip to the domain: the square root of [-1, 4] is
+[0, 2], since a narrower enclosure of the operand would not have left it.
+
+Source: Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009), chapters 2 and 5.
+"""
+
+import functools as ft
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from qsmc_jax.numerics.rounding import Rounding
+
+
+class Interval(NamedTuple):
+    """All arrays that lie between two, entry by entry."""
+
+    lo: Array
+    hi: Array
+
+
+class Truth(NamedTuple):
+    """What a comparison of intervals can be, entry by entry."""
+
+    may: Array
+    may_not: Array
+
+    @property
+    def is_open(self) -> Array:
+        """Whether it can be either."""
+        return self.may & self.may_not
+
+
+Enclosed: TypeAlias = Any  # an array, an Interval or a Truth
+Rule: TypeAlias = Callable[..., Enclosed]
+
+RULES: dict[str, Rule] = {}
+
+
+def rule(*names: str) -> Callable[[Rule], Rule]:
+    """Makes a function the rule of the primitives with these names: `rule(rounding, *operands, **params)`."""
+
+    def register(function: Rule) -> Rule:
+        RULES.update(dict.fromkeys(names, function))
+        return function
+
+    return register
+
+
+def is_point(value: Enclosed) -> bool:
+    """Whether it is a plain array."""
+    return not isinstance(value, Interval | Truth)
+
+
+def interval(value: Enclosed) -> Interval:
+    """A point as an interval of no width; a truth as one between 0 and 1."""
+    if isinstance(value, Truth):
+        return Interval(jnp.where(value.may_not, 0, 1), jnp.where(value.may, 1, 0))
+    return value if isinstance(value, Interval) else Interval(value, value)
+
+
+def truth(value: Enclosed) -> Truth:
+    """A plain truth value as one that is certain."""
+    return value if isinstance(value, Truth) else Truth(value, jnp.logical_not(value))
+
+
+def hull(values: list[Enclosed]) -> Enclosed:
+    """The least enclosure of several."""
+    if any(isinstance(value, Truth) for value in values):
+        truths = [truth(value) for value in values]
+        return Truth(ft.reduce(jnp.logical_or, [t.may for t in truths]), _any([t.may_not for t in truths]))
+    ends = [interval(value) for value in values]
+    return Interval(ft.reduce(jnp.minimum, [e.lo for e in ends]), ft.reduce(jnp.maximum, [e.hi for e in ends]))
+
+
+def _any(values: list[Array]) -> Array:
+    return ft.reduce(jnp.logical_or, values)
+
+
+def everything(like: Any) -> Enclosed:
+    """What is known of a value of which nothing is known; `like` has its shape and type."""
+    if like.dtype == bool:
+        return Truth(jnp.ones(like.shape, bool), jnp.ones(like.shape, bool))
+    if jnp.issubdtype(like.dtype, jnp.integer):
+        ends = jnp.iinfo(like.dtype)
+        return Interval(jnp.full(like.shape, ends.min, like.dtype), jnp.full(like.shape, ends.max, like.dtype))
+    return Interval(jnp.full(like.shape, -jnp.inf, like.dtype), jnp.full(like.shape, jnp.inf, like.dtype))
+
+
+# Arithmetic
+
+
+@rule("add", "add_any")
+def _add(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    a, b = interval(a), interval(b)
+    return rounding(Interval(a.lo + b.lo, a.hi + b.hi))
+
+
+@rule("sub")
+def _sub(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    a, b = interval(a), interval(b)
+    return rounding(Interval(a.lo - b.hi, a.hi - b.lo))
+
+
+@rule("neg")
+def _neg(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    return Interval(-a.hi, -a.lo)
+
+
+@rule("mul")
+def multiply(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    """The product. Nothing times something without bound is nothing."""
+    if is_point(a):
+        a, b = b, a
+    ends = [_times(p, q) for p in interval(a) for q in ((b,) if is_point(b) else interval(b))]
+    return rounding(Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends)))
+
+
+def _times(a: Array, b: Array) -> Array:
+    if not jnp.issubdtype(jnp.result_type(a), jnp.inexact):
+        return a * b
+    product = a * b
+    return jnp.where(jnp.isnan(product) & ((a == 0.0) | (b == 0.0)), 0.0, product)
+
+
+@rule("div")
+def divide(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    """The quotient; everything where the denominator can be zero. Integers are divided by positive points only."""
+    if not jnp.issubdtype(jnp.result_type(interval(a).lo), jnp.inexact):
+        a, b = interval(a), interval(b)
+        ends = [jax.lax.div(p, q) for p in a for q in b]
+        return Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends))
+    b = interval(b)
+    has_zero = (b.lo <= 0.0) & (b.hi >= 0.0)
+    safe = Interval(jnp.where(has_zero, 1.0, b.lo), jnp.where(has_zero, 1.0, b.hi))
+    a = interval(a)
+    ends = [p / q for p in a for q in safe]
+    low, high = ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends)
+    return rounding(Interval(jnp.where(has_zero, -jnp.inf, low), jnp.where(has_zero, jnp.inf, high)))
+
+
+@rule("abs")
+def absolute(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    """The absolute value."""
+    p, q = jnp.abs(a.lo), jnp.abs(a.hi)
+    touches = (a.lo <= 0) & (a.hi >= 0)
+    return Interval(jnp.where(touches, jnp.zeros_like(p), jnp.minimum(p, q)), jnp.maximum(p, q))
+
+
+@rule("integer_pow")
+def _integer_pow(rounding: Rounding, a: Interval, *, y: int, **_: Any) -> Interval:
+    if y < 0:
+        return divide(rounding, jnp.ones_like(a.lo), _integer_pow(rounding, a, y=-y))
+    base = absolute(rounding, a) if y % 2 == 0 else a
+    return rounding(Interval(base.lo**y, base.hi**y), units=max(y, 1))
+
+
+@rule("square")
+def _square(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    return _integer_pow(rounding, a, y=2)
+
+
+@rule("pow")
+def _pow(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    """A real power of a base that is not negative: monotone in each operand on either side of base 1 and power 0."""
+    if is_point(b) and not jnp.issubdtype(jnp.result_type(b), jnp.inexact):
+        b = jnp.asarray(b, float)
+    a, b = interval(a), interval(b)
+    base = Interval(jnp.maximum(a.lo, 0.0), jnp.maximum(a.hi, 0.0))
+    ends = [jnp.power(p, q) for p in base for q in b]
+    result = Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends))
+    known = rounding(result, units=32)
+    is_real = a.lo >= 0.0  # an integral power of a negative base is none of our business here
+    return Interval(jnp.where(is_real, known.lo, -jnp.inf), jnp.where(is_real, known.hi, jnp.inf))
+
+
+# Functions that grow, or turn once
+
+_GROWING: dict[str, tuple[Callable[[Array], Array], float, float]] = {
+    "exp": (jnp.exp, -math.inf, math.inf),
+    "exp2": (jnp.exp2, -math.inf, math.inf),
+    "expm1": (jnp.expm1, -math.inf, math.inf),
+    "log": (jnp.log, 0.0, math.inf),
+    "log1p": (jnp.log1p, -1.0, math.inf),
+    "sqrt": (jnp.sqrt, 0.0, math.inf),
+    "cbrt": (jnp.cbrt, -math.inf, math.inf),
+    "tanh": (jnp.tanh, -math.inf, math.inf),
+    "sinh": (jnp.sinh, -math.inf, math.inf),
+    "asinh": (jnp.arcsinh, -math.inf, math.inf),
+    "acosh": (jnp.arccosh, 1.0, math.inf),
+    "atanh": (jnp.arctanh, -1.0, 1.0),
+    "asin": (jnp.arcsin, -1.0, 1.0),
+    "atan": (jnp.arctan, -math.inf, math.inf),
+    "logistic": (jax.nn.sigmoid, -math.inf, math.inf),
+    "erf": (jax.lax.erf, -math.inf, math.inf),
+    "erf_inv": (jax.lax.erf_inv, -1.0, 1.0),
+}
+
+
+def _grow(
+    function: Callable[[Array], Array], low: float, high: float, rounding: Rounding, a: Interval, **_: Any
+) -> Interval:
+    inside = Interval(jnp.clip(a.lo, low, high), jnp.clip(a.hi, low, high))
+    return rounding(Interval(function(inside.lo), function(inside.hi)), units=8)
+
+
+for _name, _entry in _GROWING.items():
+    RULES[_name] = ft.partial(_grow, *_entry)
+
+
+@rule("acos")
+def _acos(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    low, high = jnp.clip(a.lo, -1.0, 1.0), jnp.clip(a.hi, -1.0, 1.0)
+    return rounding(Interval(jnp.arccos(high), jnp.arccos(low)), units=8)
+
+
+@rule("erfc")
+def _erfc(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    return rounding(Interval(jax.lax.erfc(a.hi), jax.lax.erfc(a.lo)), units=16)
+
+
+@rule("rsqrt")
+def _rsqrt(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    low, high = jnp.maximum(a.lo, 0.0), jnp.maximum(a.hi, 0.0)
+    return rounding(Interval(jax.lax.rsqrt(high), jax.lax.rsqrt(low)), units=8)
+
+
+@rule("cosh")
+def _cosh(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    size = absolute(rounding, a)
+    return rounding(Interval(jnp.cosh(size.lo), jnp.cosh(size.hi)), units=8)
+
+
+@rule("sin")
+def _sin(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    return _wave(rounding, a, jnp.sin, 0.25)
+
+
+@rule("cos")
+def _cos(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    return _wave(rounding, a, jnp.cos, 0.0)
+
+
+def _wave(rounding: Rounding, a: Interval, function: Callable[[Array], Array], crest: float) -> Interval:
+    """Sine or cosine, whose crests lie at `crest` turns: the ends, and the extremes between them."""
+    ends = function(a.lo), function(a.hi)
+    known = rounding(Interval(jnp.minimum(*ends), jnp.maximum(*ends)), units=8)
+    has_crest, has_trough = _meets(a, crest), _meets(a, crest + 0.5)
+    low = jnp.where(has_trough, -1.0, jnp.maximum(known.lo, -1.0))
+    return Interval(low, jnp.where(has_crest, 1.0, jnp.minimum(known.hi, 1.0)))
+
+
+def _meets(a: Interval, turns: float) -> Array:
+    """Whether an angle equal to `turns` full turns, and any number more, lies in the interval; yes in doubt."""
+    low, high = (end / (2.0 * math.pi) - turns for end in a)
+    slack = 1e-9 + 1e-15 * (jnp.abs(low) + jnp.abs(high))
+    return ~(jnp.floor(high + slack) < jnp.ceil(low - slack))
+
+
+@rule("tan")
+def _tan(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    has_pole = _meets(a, 0.25) | _meets(a, 0.75)
+    low, high = jnp.where(has_pole, 0.0, a.lo), jnp.where(has_pole, 0.0, a.hi)
+    known = rounding(Interval(jnp.tan(low), jnp.tan(high)), units=8)
+    return Interval(jnp.where(has_pole, -jnp.inf, known.lo), jnp.where(has_pole, jnp.inf, known.hi))
+
+
+@rule("atan2")
+def _atan2(rounding: Rounding, y: Enclosed, x: Enclosed, **_: Any) -> Interval:
+    y, x = interval(y), interval(x)
+    corners = [jnp.arctan2(p, q) for p in y for q in x]
+    known = rounding(Interval(ft.reduce(jnp.minimum, corners), ft.reduce(jnp.maximum, corners)), units=8)
+    meets_cut = (x.lo <= 0.0) & (y.lo <= 0.0) & (y.hi >= 0.0)  # the origin included
+    return Interval(jnp.where(meets_cut, -math.pi, known.lo), jnp.where(meets_cut, math.pi, known.hi))
+
+
+# Steps
+
+
+def _step(function: Callable[[Array], Array], rounding: Rounding, a: Interval, **params: Any) -> Interval:
+    return Interval(function(a.lo), function(a.hi))
+
+
+RULES["sign"] = ft.partial(_step, jnp.sign)
+RULES["floor"] = ft.partial(_step, jnp.floor)
+RULES["ceil"] = ft.partial(_step, jnp.ceil)
+
+
+@rule("round")
+def _round(rounding: Rounding, a: Interval, **params: Any) -> Interval:
+    return Interval(jax.lax.round(a.lo, **params), jax.lax.round(a.hi, **params))
+
+
+@rule("rem")
+def _rem(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    """The remainder, with the sign of the numerator; as a whole period where the quotient can pass an integer."""
+    a, b = interval(a), interval(b)
+    ends = [jax.lax.rem(p, q) for p, q in zip(a, b, strict=True)]
+    largest = absolute(rounding, b).hi
+    quotients = [jnp.trunc(p / q) for p in a for q in b]
+    is_same = ft.reduce(jnp.maximum, quotients) == ft.reduce(jnp.minimum, quotients)
+    is_same = is_same & (b.lo == b.hi) & (a.lo * a.hi >= 0)
+    whole = Interval(jnp.where(a.lo < 0, -largest, 0), jnp.where(a.hi > 0, largest, 0))
+    known = rounding(Interval(jnp.minimum(*ends), jnp.maximum(*ends)))
+    return Interval(jnp.where(is_same, known.lo, whole.lo), jnp.where(is_same, known.hi, whole.hi))
+
+
+@rule("nextafter")
+def _nextafter(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    a = interval(a)
+    return Interval(jnp.nextafter(a.lo, -jnp.inf), jnp.nextafter(a.hi, jnp.inf))
+
+
+# Choices
+
+
+@rule("max")
+def _max(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    a, b = interval(a), interval(b)
+    return Interval(jnp.maximum(a.lo, b.lo), jnp.maximum(a.hi, b.hi))
+
+
+@rule("min")
+def _min(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
+    a, b = interval(a), interval(b)
+    return Interval(jnp.minimum(a.lo, b.lo), jnp.minimum(a.hi, b.hi))
+
+
+@rule("clamp")
+def _clamp(rounding: Rounding, low: Enclosed, a: Enclosed, high: Enclosed, **_: Any) -> Interval:
+    return _min(rounding, _max(rounding, a, low), high)
+
+
+@rule("lt", "lt_to")
+def _lt(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    a, b = interval(a), interval(b)
+    return Truth(a.lo < b.hi, a.hi >= b.lo)
+
+
+@rule("le", "le_to")
+def _le(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    a, b = interval(a), interval(b)
+    return Truth(a.lo <= b.hi, a.hi > b.lo)
+
+
+@rule("gt")
+def _gt(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    return _lt(rounding, b, a)
+
+
+@rule("ge")
+def _ge(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    return _le(rounding, b, a)
+
+
+@rule("eq")
+def _eq(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    a, b = interval(a), interval(b)
+    return Truth((a.lo <= b.hi) & (a.hi >= b.lo), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
+
+
+@rule("ne")
+def _ne(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    same = _eq(rounding, a, b)
+    return Truth(same.may_not, same.may)
+
+
+@rule("is_finite")
+def _is_finite(rounding: Rounding, a: Interval, **_: Any) -> Truth:
+    """Certain: an enclosure without bound is a loose one, not a value."""
+    return Truth(jnp.ones(a.lo.shape, bool), jnp.zeros(a.lo.shape, bool))
+
+
+@rule("and")
+def _and(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    a, b = truth(a), truth(b)
+    return Truth(a.may & b.may, a.may_not | b.may_not)
+
+
+@rule("or")
+def _or(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    a, b = truth(a), truth(b)
+    return Truth(a.may | b.may, a.may_not & b.may_not)
+
+
+@rule("xor")
+def _xor(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    a, b = truth(a), truth(b)
+    return Truth((a.may & b.may_not) | (a.may_not & b.may), (a.may & b.may) | (a.may_not & b.may_not))
+
+
+@rule("not")
+def _not(rounding: Rounding, a: Truth, **_: Any) -> Truth:
+    return Truth(a.may_not, a.may)

@@ -1,0 +1,34 @@
+"""How the ends of a computed interval are rounded."""
+
+import enum
+from typing import TypeVar
+
+import jax.numpy as jnp
+
+I = TypeVar("I", bound=tuple)  # noqa: E741  # an interval: its lower and its upper end
+
+
+class Rounding(enum.Enum):
+    """To the nearest number, as the machine does, or outward, so that the computed interval holds the exact one.
+
+    Outward takes each rounded operation of IEEE arithmetic to be right to half a unit in the last place, and elementary
+    functions to a few units, which the tests of the elementary functions measure.
+    """
+
+    NEAREST = "nearest"
+    OUTWARD = "outward"
+
+    def __call__(self, ends: I, units: int = 1) -> I:
+        """The interval, widened if need be by so many units in the last place.
+
+        Args:
+            ends: Lower and upper end.
+            units: Units in the last place by which either may be wrong.
+        """
+        if self is Rounding.NEAREST or not jnp.issubdtype(jnp.result_type(ends[0]), jnp.inexact):
+            return ends
+        low, high = ends
+        slack = (units - 1) * jnp.finfo(low.dtype).eps
+        down = jnp.nextafter(low - slack * jnp.abs(low), -jnp.inf)
+        up = jnp.nextafter(high + slack * jnp.abs(high), jnp.inf)
+        return type(ends)(jnp.where(jnp.isinf(low), low, down), jnp.where(jnp.isinf(high), high, up))
