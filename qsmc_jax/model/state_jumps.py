@@ -19,7 +19,8 @@ def require_continuous(plant: Any, method: str) -> None:
     """Raises if drift or gain is found to jump as a function of the state; traced numbers pass.
 
     The function is followed along each axis of the state, through states and times of many sizes, and where it
-    switches its values are compared: see crossings.py. What joins passes; what jumps in time only passes.
+    switches its values are compared: see crossings.py. What joins passes, and what jumps in time only. So does what
+    can't be followed: inside a loop, in a call out of JAX, or with a traced number in its closure.
 
     Args:
         plant: The plant.
@@ -27,7 +28,10 @@ def require_continuous(plant: Any, method: str) -> None:
     """
     if is_traced(plant):
         return
-    found = _first_jump(plant, method)
+    try:
+        found = _first_jump(plant, method)
+    except (jax.errors.UnexpectedTracerError, NotImplementedError):
+        return
     if found is None:
         return
     t, x, before, after = found
