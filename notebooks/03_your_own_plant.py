@@ -196,31 +196,47 @@ attempt(lambda: qj.ClosedLoop(Plain(), reference, wind, control))
 attempt(lambda: qj.ClosedLoop(Crane(2.0, 0.1), jnp.sin, wind, control))
 
 # %% [markdown]
-# **A jump that nobody declared.** A solver steps over what it is not told of: give the class its `break_times`.
+# **Dry friction by a sign.** Drift and gain may jump in time, but not in the state: a loop may stick on such a jump,
+# where no solver goes on. A sign that turns over a small width, `qj.smoothed.sign(x[1], 1e-4)`, is as good.
 
 
 # %%
-class Cut(qj.AbstractPlant):
-    """A crane whose rope is cut to half its length at 5 s."""
+class Rusty(qj.AbstractPlant):
+    """A crane with dry friction in its joint."""
 
     order: ClassVar[int] = 2
 
     def drift(self, t, x):
-        """Gravity [rad/s^2]."""
-        return jnp.where(t < 5.0, -4.9, -9.8) * jnp.sin(x[0])
+        """Gravity and friction [rad/s^2]."""
+        return -4.9 * jnp.sin(x[0]) - 0.2 * jnp.sign(x[1])
 
     def gain(self, t, x):
         """The gain [1/m]."""
         return -0.5
 
 
-attempt(Cut)
+attempt(Rusty)
 
 # %% [markdown]
 # **A reference with a step.** It has no derivative there, and the law needs $n - 1$ of them.
 
 # %%
 attempt(lambda: qj.references.Smooth(lambda t: jnp.where(t < 5.0, 0.0, 0.3)))
+
+# %% [markdown]
+# **Derivatives that are not those of the reference.** Let `Smooth` find them, or find the slip.
+
+
+# %%
+class Swing(qj.AbstractReference):
+    """A swing of which the second derivative lacks its sign."""
+
+    def derivatives(self, t, order):
+        """Value and derivatives [rad, rad/s, rad/s^2]."""
+        return (0.3 * jnp.sin(t), 0.3 * jnp.cos(t), 0.3 * jnp.sin(t))[: order + 1]
+
+
+attempt(lambda: qj.simulate(qj.ClosedLoop(Crane(2.0, 0.1), Swing(), wind, control), x0=[0.4, 0.0], t1=15.0))
 
 # %% [markdown]
 # ## Mistakes that show in a run
@@ -250,9 +266,10 @@ attempt(lambda: told(broken))
 print("least of gain_sign * g:", float(broken.figures.least_gain))
 
 # %% [markdown]
-# **A jump that is declared at the wrong time.** This one is the worst: nothing is said. Let something hit the load at
-# 5 s, for a millisecond. A disturbance of your own has `break_times`, to which the solver steps. With none at all it is
-# refused, as the plant above was; but with a wrong one, a step may pass over the blow.
+# ## Something that happens quickly
+#
+# Let something hit the load at 5 s, for a millisecond. A disturbance of your own has `break_times`, to which the solver
+# steps. They are a hint that saves steps, no more: what is not declared, or declared at the wrong time, is found too.
 
 
 # %%
@@ -282,12 +299,13 @@ for declared, label in ((5.0, "declared at 5 s"), (7.0, "declared at 7 s")):
     hit = qj.ClosedLoop(Crane(2.0, 0.1), reference, Blow(100.0, declared), control)
     blow = qj.simulate(hit, x0=[0.4, 0.0], t1=15.0, ts=np.linspace(4.95, 5.15, 401))
     peak = blow.figures
-    print(f"{label:16} sup |sigma|/rho {float(peak.peak_ratio):.4f} at {float(peak.peak_time):.4f} s")
+    found = f"sup |sigma|/rho {float(peak.peak_ratio):.4f} at {float(peak.peak_time):.4f} s"
+    print(f"{label:16} {found} in {int(peak.steps)} steps")
     ax.plot(blow.ts, np.abs(blow.sigma) / blow.rho, label=label)
 ax.set(ylim=(0.0, 1.05), xlabel="t [s]", ylabel=r"$|\sigma| / \rho$ [-]", title="A blow of 1 ms at 5 s")
 ax.legend()
 plt.show()
 
 # %% [markdown]
-# What stands in `qj.disturbances` declares its jumps: build from `Piecewise`, `Telegraph` and `SmoothSteps` where you
-# can. A plant that changes at some time declares it in the same way.
+# What stands in `qj.disturbances` declares its jumps. A plant that changes at some time may do so too, and a reference
+# whose highest derivative jumps.

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from qsmc_jax.model import disturbances as disturbances
     from qsmc_jax.model import plants as plants
     from qsmc_jax.model import references as references
+    from qsmc_jax.model import smoothed as smoothed
     from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
     from qsmc_jax.model.references import AbstractReference as AbstractReference
@@ -120,6 +121,7 @@ _NAMESPACES = {
     "paper": "qsmc_jax.paper",
     "plants": "qsmc_jax.model.plants",
     "references": "qsmc_jax.model.references",
+    "smoothed": "qsmc_jax.model.smoothed",
     "stopping": "qsmc_jax.verification.stopping",
     "thresholds": "qsmc_jax.control.thresholds",
 }

@@ -201,7 +201,7 @@ class ClosedLoop(AbstractModule):
     @property
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
-        parts = [self.plant, self.disturbance, self.implementation]
+        parts = [self.plant, self.reference, self.disturbance, self.implementation]
         return jnp.concatenate([as_times(part.break_times) for part in parts if part is not None])
 
 
@@ -209,9 +209,11 @@ class ClosedLoop(AbstractModule):
 def _require_derivatives(pair: tuple[AbstractReference, int]) -> None:
     """Raises unless a reference has its derivatives up to an order, each one number."""
     reference, order = pair
-    name, time = f"`derivatives` of `{type(reference).__name__}`", jax.ShapeDtypeStruct((), float)
+    owner, time = f"`{type(reference).__name__}`", jax.ShapeDtypeStruct((), float)
+    name = f"`derivatives` of {owner}"
     _, result = trace(name, "a time and an order", reference, lambda r, t: tuple(r.derivatives(t, order)), time)
     require(
         len(result) == order + 1 and all(map(is_number, result)),
         f"{name} must return {order + 1} numbers for order {order}, but returns {described(result)}.",
     )
+    trace(f"`break_times` of {owner}", "nothing", reference, lambda r: as_times(r.break_times))

@@ -96,18 +96,20 @@ MISTAKES = {
         r"`drift` of `Mine` must return one number, but returns shape \(2,\)",
     ),
     "drift with a jump": (
-        lambda: plant(drift=lambda self, t, x: jnp.where(t < 1.0, 0.0, 1.0)),
-        "`drift` of `Mine` may jump in time, for it uses `lt` on what may depend on it, but `break_times` is empty",
+        lambda: plant(drift=lambda self, t, x: -jnp.sign(x[1])),
+        r"`drift` of `Mine` must be continuous in the state, but jumps from 1 to -1 at t = 0, x = \(0, 0\).*"
+        r"`qj.smoothed.sign\(v, width\)`",
     ),
+    "relay in the gain": (
+        lambda: plant(gain=lambda self, t, x: jnp.where(x[0] > 0.5, 2.0, 1.0)),
+        r"`gain` of `Mine` must be continuous in the state, but jumps from 1 to 2 at t = 0, x = \(0.5, 0\)",
+    ),
+    "friction of no width": (lambda: qj.smoothed.sign(1.0, 0.0), "`width` must be positive, but is 0. Take a small"),
     "disturbance in numpy": (lambda: Push(np.sin), f"`Push`, a disturbance, {INSTEAD}"),
     "disturbance with if": (lambda: Push(branch), "JAX traces it with stand-ins for a time and for its arrays"),
     "disturbance a vector": (
         lambda: Push(lambda t: jnp.stack([t, t])),
         r"`Push`, a disturbance, must return one number, but returns shape \(2,\)",
-    ),
-    "disturbance with a jump": (
-        lambda: Push(lambda t: jnp.floor(t)),
-        "`Push`, a disturbance, may jump in time, for it uses `floor`",
     ),
     "reference in numpy": (
         lambda: loop(reference=Turn(lambda t, order: (np.sin(t), 1.0, 2.0))),
@@ -116,6 +118,10 @@ MISTAKES = {
     "reference too short": (
         lambda: loop(reference=Turn(lambda t, order: (t, 1.0))),
         "`derivatives` of `Turn` must return 3 numbers for order 2, but returns 2 of them",
+    ),
+    "reference with a wrong derivative": (
+        lambda: qj.Scenario(loop(reference=Turn(lambda t, order: (jnp.sin(t), jnp.cos(t), 0.0))), [0.9, 0.9], 2.0),
+        "Derivative 2 of `Turn` must be the derivative in time of derivative 1, but at t = .* s it is 0 instead of",
     ),
     "smooth in numpy": (lambda: qj.references.Smooth(np.sin), f"Argument `fn` of `references.Smooth` {INSTEAD}"),
     "smooth a number": (lambda: qj.references.Smooth(1.0), "must be a function of time, but calling it says"),

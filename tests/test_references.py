@@ -242,7 +242,14 @@ KINKED = {
     "cond": (lambda t: jax.lax.cond(t > 1.0, jnp.sin, jnp.cos, t), "gt"),
     "integer": (lambda t: t.astype(int).astype(float), "convert_element_type"),
     "sort": (lambda t: jnp.sort(jnp.stack([t, jnp.sin(t)]))[0], "sort"),
-    "largest": (lambda t: jnp.max(jnp.stack([t, jnp.sin(t)])), "reduce_max"),
+    "largest": (lambda t: jnp.max(jnp.stack([jnp.cos(t), jnp.sin(t)])), "reduce_max"),
+    "second derivative": (lambda t: jax.nn.elu(t - 1.0), "gt"),
+    "third derivative": (lambda t: jnp.maximum(t - 2.0, 0.0) ** 3, "max"),
+    "narrow": (lambda t: t + jnp.where((t > 5.0) & (t < 5.001), 1.0, 0.0), "lt"),
+    "late": (lambda t: jnp.where(t > 12345.6, t, jnp.sin(t)), "gt"),
+    "small": (lambda t: jnp.sin(t) + 1e-3 * jnp.abs(t - 7.5), "abs"),
+    "tiny jump": (lambda t: jnp.sin(t) + jnp.where(t > 7.5, 1e-5, 0.0), "gt"),
+    "hidden in the second": (lambda t: t + 1e-3 * (t - jax.lax.stop_gradient(t)) ** 2, "stop_gradient"),
     "interpolation": (lambda t: jnp.interp(t, jnp.arange(3.0), jnp.asarray([0.0, 1.0, 0.0])), "gt"),
     "hidden_derivative": (lambda t: t * jax.lax.stop_gradient(t), "stop_gradient"),
     "inside_jit": (jax.jit(lambda t: jnp.abs(jnp.sin(t))), "abs"),
@@ -256,6 +263,57 @@ KINKED = {
 def test_a_function_that_is_not_smooth_is_refused(fn, primitive):
     with pytest.raises(ValueError, match=rf"`fn` of `references.Smooth` must be smooth, but uses .*`{primitive}`"):
         qr.Smooth(fn)
+
+
+# Smooth, though they compare.
+COMPARING = {
+    "log of sum": (
+        lambda t: jax.nn.logsumexp(jnp.stack([t, 1.0 - t, 0.0 * t])),
+        lambda t: mp.log(mp.exp(t) + mp.exp(1 - t) + 1),
+    ),
+    "logaddexp": (lambda t: jnp.logaddexp(t, 1.0), lambda t: mp.log(mp.exp(t) + mp.e)),
+    "softmax": (
+        lambda t: jax.nn.softmax(jnp.stack([t, jnp.sin(t)]))[0],
+        lambda t: mp.exp(t) / (mp.exp(t) + mp.exp(mp.sin(t))),
+    ),
+    "guard": (
+        lambda t: jnp.where(
+            t > 1e-2, jnp.sin(t) / jnp.where(t > 1e-2, t, 1.0), 1 - t**2 / 6 + t**4 / 120 - t**6 / 5040
+        ),
+        lambda t: mp.sin(t) / t if t else mp.mpf(1),
+    ),
+    "square of abs": (lambda t: jnp.abs(jnp.sin(t)) ** 2, lambda t: mp.sin(t) ** 2),
+    "never switches": (lambda t: t * jnp.maximum(jnp.sin(t), 2.0), lambda t: 2 * t),
+}
+
+
+@pytest.mark.parametrize(("fn", "exact"), COMPARING.values(), ids=COMPARING)
+def test_a_smooth_function_may_compare(fn, exact):
+    found = jnp.stack(qr.Smooth(fn).derivatives(0.7, 3))
+    np.testing.assert_allclose(found, truth(exact, 0.7, 3), rtol=1e-9, atol=1e-9)
+
+
+def test_a_bump_that_ends_is_smooth():
+    def bump(t):
+        is_inside = jnp.abs(t - 3.0) < 1.0
+        return jnp.where(is_inside, jnp.exp(-1.0 / (1.0 - jnp.where(is_inside, t - 3.0, 0.0) ** 2)), 0.0)
+
+    assert [float(v) for v in qr.Smooth(bump).derivatives(4.5, 2)] == [0.0, 0.0, 0.0]
+
+
+def test_a_kink_is_told_with_its_place_and_height():
+    with pytest.raises(ValueError, match=r"uses `abs`.*, and derivative 1 jumps from -3 to 3 at t = 2\.5\."):
+        qr.Smooth(lambda t: 3.0 * jnp.abs(t - 2.5))
+
+
+def test_numbers_decide_whether_a_function_that_compares_is_smooth_and_traced_ones_pass():
+    def build(a):
+        return qr.Smooth(eqx.Partial(lambda a, t: t + a * jnp.abs(t - 1.0), a))
+
+    assert float(build(jnp.asarray(0.0))(2.0)) == 2.0
+    assert float(jax.jit(lambda a: build(a)(3.0))(0.5)) == 4.0
+    with pytest.raises(ValueError, match="must be smooth"):
+        build(jnp.asarray(0.5))
 
 
 REFUSED = {

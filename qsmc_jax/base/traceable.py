@@ -10,27 +10,30 @@ import jax
 from jax.extend.core import ClosedJaxpr
 
 T = TypeVar("T")
+R = TypeVar("R")
 _KEPT = 256  # structures
 
 
-def once_per_structure(check: Callable[[T], None]) -> Callable[[T], None]:
+def once_per_structure(check: Callable[[T], R]) -> Callable[[T], R]:
     """A check, such as by `trace`, that the numbers in a module do not matter to: once for each structure that passes.
 
-    A module that holds a function is checked each time: the function may close over what must not be kept.
+    What it returns is kept. A module that holds a function is checked each time: the function may close over what must
+    not be kept.
     """
-    passed: set[Hashable] = set()
+    passed: dict[Hashable, R] = {}
 
     @ft.wraps(check)
-    def wrapped(module: T) -> None:
+    def wrapped(module: T) -> R:
         leaves, structure = jax.tree.flatten(module)
         key = structure, tuple(map(_kind_of, leaves))
         if any(map(callable, leaves)) or not _is_hashable(key):
-            check(module)
-        elif key not in passed:
-            check(module)
+            return check(module)
+        if key not in passed:
+            found = check(module)
             if len(passed) >= _KEPT:
                 passed.clear()
-            passed.add(key)
+            passed[key] = found
+        return passed[key]
 
     return wrapped
 

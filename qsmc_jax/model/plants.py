@@ -12,14 +12,16 @@ from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike, State
-from qsmc_jax.model.kinks import as_times, require_declared
+from qsmc_jax.model.kinks import as_times, may_jump
+from qsmc_jax.model.state_jumps import require_continuous
 
 
 class AbstractPlant(AbstractModule):
     r"""A plant $\dot x_i = x_{i+1}$ ($i < n$), $\dot x_n = f(t, x) + g(t, x) u + d(t)$, $y = x_1$.
 
     Subclass it with a class attribute `order` (n >= 1) and the two methods; write them with `jax.numpy`. The controller
-    never sees them: it knows the sign of g only.
+    never sees them: it knows the sign of g only. Both may jump in time. In the state they must be continuous, and are
+    refused where they are seen to jump, for a loop may stick there: `qj.smoothed` has friction that does not jump.
 
     Examples:
         A motor with friction, as you may write it:
@@ -43,13 +45,15 @@ class AbstractPlant(AbstractModule):
 
     def __check_init__(self):
         require_fields(self)
-        _require_plant(self)
+        for method in _require_plant(self):
+            require_continuous(self, method)
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which drift or gain jumps or kinks as a function of time; the solver steps to them.
 
-        None here; a plant that changes at some time has its own. Their number is fixed when traced.
+        A hint that saves steps: what is not declared is found by the solver. None here; a plant that changes at some
+        time may have its own. Their number is fixed when traced.
         """
         return jnp.zeros((0,))
 
@@ -81,19 +85,23 @@ class AbstractPlant(AbstractModule):
 
 
 @once_per_structure
-def _require_plant(plant: AbstractPlant) -> None:
-    """Raises unless drift and gain can be traced, are one number each, and jump in time only if it is declared."""
+def _require_plant(plant: AbstractPlant) -> tuple[str, ...]:
+    """Raises unless drift and gain can be traced and are one number each; those that may jump in the state."""
     number, order = jax.ShapeDtypeStruct((), float), plant.order
+    suspects = []
     takes = f"a time and a state of {order} numbers x[0] ... x[{order - 1}]"
     for method in ("drift", "gain"):
         name = f"`{method}` of `{type(plant).__name__}`"
 
         def call(plant: AbstractPlant, t: RealScalarLike, *x: RealScalarLike, method: str = method) -> Any:
-            return getattr(plant, method)(t, x), as_times(plant.break_times)
+            return getattr(plant, method)(t, x)
 
-        program, (value, times) = trace(name, takes, plant, call, number, *(number,) * order)
+        program, value = trace(name, takes, plant, call, number, *(number,) * order)
         require_number(name, value, f"Index the state: x[0] ... x[{order - 1}].")
-        require_declared(name, program, 1 + order, times.size)
+        if may_jump(program, order):
+            suspects.append(method)
+    trace(f"`break_times` of `{type(plant).__name__}`", "nothing", plant, lambda plant: as_times(plant.break_times))
+    return tuple(suspects)
 
 
 class InvertedPendulum(AbstractPlant):

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require_finite, require_shape
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.model.smooth import require_smooth, time_derivatives
+from qsmc_jax.model.derivatives import time_derivatives
+from qsmc_jax.model.smooth import require_smooth
 
 
 class AbstractReference(AbstractModule):
@@ -28,10 +29,21 @@ class AbstractReference(AbstractModule):
         >>> Turn()(3.0), Turn().derivatives(3.0, 2)
         (6.0, (6.0, 2.0, 0.0))
 
+    A loop compares them with each other before it is solved: each must be the derivative in time of the one before.
+
     Source: paper, below eq. (1), where $x_{des}$ is smooth; its bounds matter to the proof, not here.
     """
 
     remedy: ClassVar[str] = "A smooth function f(t) becomes one by `qj.references.Smooth(f)`."
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        """Times [s] at which the highest derivative in use, the n-th, jumps or kinks; the solver steps to them.
+
+        All lower ones must be continuous, for the errors are measured against them. A hint that saves steps: what is
+        not declared is found by the solver. None here. Their number is fixed when traced.
+        """
+        return jnp.zeros((0,))
 
     @abc.abstractmethod
     def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:
@@ -126,8 +138,12 @@ class Smooth(AbstractReference):
     its closure are constants. To sweep, draw or tune numbers, hold them as arrays where they can be seen: in an
     `eqx.Module` with a `__call__(t)`, or in `eqx.Partial(fn, number, ...)`, whose `fn` takes them before t.
 
-    A function with kinks or jumps is refused; `model/smooth.py` has the rule. Singular points of a smooth function (a
-    square root at 0, an arcsine at 1) are not seen, except at t = 0, where every run starts.
+    A function with kinks or jumps is refused, for its derivatives would jump, and with them the errors. A comparison is
+    no offence where nothing jumps: `jax.nn.logsumexp` and a `jnp.where` that only guards pass, for where they switch
+    their values and three derivatives continue. `jnp.interp` and `jnp.clip` do not: subclass `AbstractReference`.
+
+    Singular points of a smooth function (a square root at 0, an arcsine at 1) are not seen, except at t = 0, where
+    every run starts.
 
     Attributes:
         fn: The function t -> x_des(t) of a scalar, written with `jax.numpy`, in units of the output.

@@ -15,6 +15,7 @@ from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures, is_refused
 from qsmc_jax.simulation.outcome import Outcome, Verdict
@@ -216,12 +217,16 @@ def simulate(
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
-    """Raises `ValueError` unless the start and the horizon fit the loop; traced numbers pass."""
+    """Raises `ValueError` unless the start and the horizon fit the loop, and its reference fits itself there.
+
+    Traced numbers pass.
+    """
     require_shape("x0", x0, (loop.order,), f"the plant has order {loop.order}")
     require_finite("x0", x0)
     require_positive("t1", t1)
     if loop.implementation is not None:
         loop.implementation.check(loop.order, t1)
+    require_consistent(loop.reference, loop.order, t1)
 
 
 @entry_point

@@ -1,4 +1,4 @@
-"""What a disturbance is, a bounded function of time that says where it is not smooth; and how disturbances combine."""
+"""What a disturbance is, a bounded function of time that may say where it is not smooth; and how they combine."""
 
 import abc
 import functools as ft
@@ -13,7 +13,7 @@ from qsmc_jax.base.checks import require, require_finite
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.model.kinks import as_times, require_declared
+from qsmc_jax.model.kinks import as_times
 
 
 class AbstractDisturbance(AbstractModule):
@@ -71,7 +71,8 @@ class AbstractDisturbance(AbstractModule):
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which the disturbance or one of its derivatives jumps, in any order; the solver steps to them.
 
-        Their number is fixed when traced; unused places hold `inf`. `no_breaks()` for a smooth one.
+        A hint that saves steps: what is not declared is found by the solver. Their number is fixed when traced; unused
+        places hold `inf`. `no_breaks()` for none.
         """
 
     def __add__(self, other: "AbstractDisturbance | RealScalarLike") -> "AbstractDisturbance":
@@ -95,17 +96,16 @@ class AbstractDisturbance(AbstractModule):
 
 @once_per_structure
 def _require_disturbance(disturbance: AbstractDisturbance) -> None:
-    """Raises unless it can be traced, is one number, and jumps in time only if it is declared."""
+    """Raises unless it can be traced, with its break times, and is one number."""
     name = f"`{type(disturbance).__name__}`, a disturbance,"
-    program, (value, times) = trace(
+    _, (value, _) = trace(
         name, "a time", disturbance, lambda d, t: (d(t), as_times(d.break_times)), jax.ShapeDtypeStruct((), float)
     )
     require_number(name, value)
-    require_declared(name, program, 1, times.size)
 
 
 def no_breaks() -> Float[Array, " breaks"]:
-    """The break times of a smooth disturbance: none.
+    """The break times of a disturbance that declares none.
 
     Examples:
         >>> import qsmc_jax as qj

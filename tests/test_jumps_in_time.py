@@ -1,4 +1,4 @@
-"""Jumps in time: those that nobody declared are refused, and declared ones of a plant are met, however short."""
+"""Jumps in time are accepted, declared or not, and declared ones of a plant are met, however short."""
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +41,13 @@ QUIET = {
     "softplus": jax.nn.softplus,
     "constants compared": lambda t: t * jnp.where(jnp.asarray(2.0) < 1.0, 0.0, 1.0),
     "nothing compared": lambda t: jnp.sum(jnp.where(t < jnp.zeros(0), 1.0, 0.0)),
+    "elu": lambda t: jax.nn.elu(t - 1.0),
+    "selu": lambda t: jax.nn.selu(t - 1.0),
+    "leaky": lambda t: jax.nn.leaky_relu(t - 1.0),
+    "log of sum": lambda t: jax.nn.logsumexp(jnp.stack([t, 1.0 - t])),
+    "joined": lambda t: jnp.where(t < 1.0, t**2, 2.0 * t - 1.0),
 }
+IN_TIME = JUMPING | QUIET
 
 
 class Drifting(qj.AbstractPlant):
@@ -57,33 +63,12 @@ class Drifting(qj.AbstractPlant):
         return 1.0
 
 
-@pytest.mark.parametrize("function", JUMPING.values(), ids=JUMPING)
-def test_what_may_jump_needs_a_declared_time(function):
-    with pytest.raises(ValueError, match=r"`Push`, a disturbance, may jump in time, .* or \[inf\] if it has none"):
-        Push(function)
-    with pytest.raises(ValueError, match="`drift` of `Drifting` may jump in time"):
-        Drifting(lambda t, x: x[0] + function(t))
-    Push(function, np.array([1.0]))
-
-
-@pytest.mark.parametrize("function", QUIET.values(), ids=QUIET)
-def test_what_does_not_jump_needs_none(function):
-    Push(function)
-
-
-FRICTION = {
-    "plain": lambda t, x: jnp.sin(t) - jnp.sign(x[1]),
-    "checkpoint": jax.checkpoint(lambda t, x: jnp.sin(t) - jnp.sign(x[1])),
-    "branch": lambda t, x: jax.lax.cond(x[0] > 0.0, lambda t, x: jnp.sin(t) - jnp.sign(x[1]), lambda t, x: t, t, x),
-}
-
-
-@pytest.mark.parametrize("function", FRICTION.values(), ids=FRICTION)
-def test_jumps_in_the_state_are_no_jumps_in_time(function):
-    """Dry friction: the solver's error control sees it, since it goes through the state."""
-    Drifting(function)
-    with pytest.raises(ValueError, match="`sign`"):
-        Drifting(lambda t, x: function(t, (x[0], jnp.sin(t))))
+@pytest.mark.parametrize("function", IN_TIME.values(), ids=IN_TIME)
+def test_any_function_of_time_is_accepted_whatever_is_declared(function):
+    for times in ((), np.array([1.0])):
+        assert float(Push(function, times)(0.25)) == float(function(0.25))
+    Drifting(lambda t, x: x[0] + function(t))
+    Drifting(lambda t, x: x[0] * function(t))
 
 
 @pytest.mark.parametrize("times", [[1.0], (1.0,), 1.0, np.inf, np.array([1.0, np.inf])], ids=str)

@@ -1,0 +1,77 @@
+"""Whether the derivatives of a reference are those of its value."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qsmc_jax.base.checks import is_traced, require, show
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.model.kinks import as_times
+from qsmc_jax.model.references import AbstractReference, Constant, Smooth, SumOfSines
+
+_EXACT = (Constant, SumOfSines, Smooth)  # by their formulas
+_TIMES = 512  # at most half of them one for each piece
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+# Formulas that differ by rounding agree to far more digits; numbers rounded by hand, such as 3.14, to fewer.
+_AGREEMENT = 1e-6
+_ROUNDING = 1e-12
+
+
+def require_consistent(reference: AbstractReference, order: int, t1: Any) -> None:
+    """Raises unless each derivative of a reference is the derivative in time of the one before; traced numbers pass.
+
+    Asked at some hundred times, and inside each piece between break times. At a kink or jump there is nothing
+    to compare. What JAX can't differentiate passes.
+
+    Args:
+        reference: The reference.
+        order: Its highest derivative that is used.
+        t1: The horizon [s].
+    """
+    if isinstance(reference, _EXACT) or is_traced(reference, t1):
+        return
+    compared = _compared(reference, order, float(t1))
+    if compared is None:
+        return
+    ts, values, slopes = compared
+    for k in range(order):
+        given, found = values[:, k + 1], slopes[:, k]
+        is_number = np.isfinite(given) & np.isfinite(found) & np.isfinite(values[:, k])
+        scale = np.max(np.abs(np.where(is_number, [given, found], 0.0)))
+        # A difference that in the whole horizon would not come to a digit of what is differentiated is rounding.
+        rounding = _ROUNDING * np.max(np.abs(np.where(is_number, values[:, k], 0.0))) / float(t1)
+        difference = np.where(is_number, np.abs(given - found), 0.0)
+        worst = int(np.argmax(difference))
+        require(
+            bool(difference[worst] <= _AGREEMENT * scale + rounding),
+            f"Derivative {k + 1} of `{type(reference).__name__}` must be the derivative in time of "
+            f"{f'derivative {k}' if k else 'its value'}, but at t = {show(ts[worst])} s it is {show(given[worst])} "
+            f"instead of {show(found[worst])}. Mend `derivatives`, or let `qj.references.Smooth(fn)` compute them.",
+        )
+
+
+@entry_point
+def _compared(reference: AbstractReference, order: int, t1: float) -> tuple[Any, Any, Any] | None:
+    """Times, components and their slopes, a row a time; None if JAX can't differentiate them."""
+    declared = np.asarray(as_times(reference.break_times))
+    inner = np.sort(declared[(declared > 0.0) & (declared < t1)])[: _TIMES // 2 - 1]
+    edges = np.concatenate([[0.0], inner, [t1]])
+    inside = edges[:-1] + _GOLDEN * np.diff(edges)  # seldom a round number, at which a formula may be guarded
+    spread = t1 * ((np.arange(2, _TIMES - len(inside) + 2) * _GOLDEN) % 1.0)  # evenly, but in step with no period
+    ts = np.concatenate([inside, spread])
+    try:
+        values, slopes = _with_slopes(reference, order, ts)
+    except (TypeError, ValueError):  # a function of which only the reverse derivative is known, or a call out of JAX
+        return None
+    return ts, values, slopes
+
+
+@eqx.filter_jit
+def _with_slopes(reference: AbstractReference, order: int, ts: Any) -> tuple[Any, Any]:
+    def components(t: Any) -> Any:
+        return jnp.stack([jnp.asarray(value, dtype=float) for value in reference.derivatives(t, order)])
+
+    return jax.vmap(lambda t: jax.jvp(components, (t,), (jnp.ones_like(t),)))(ts)
