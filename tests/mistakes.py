@@ -96,12 +96,12 @@ MISTAKES = {
         r"`drift` of `Mine` must return one number, but returns shape \(2,\)",
     ),
     "drift with a jump": (
-        lambda: plant(drift=lambda self, t, x: -jnp.sign(x[1])),
+        lambda: qj.simulate(loop(plant(drift=lambda self, t, x: -jnp.sign(x[1]))), [0.9, 0.9], 2.0),
         r"`drift` of `Mine` must be continuous in the state, but jumps from 1 to -1 at t = 0, x = \(0, 0\).*"
         r"`qj.smoothed.sign\(v, width\)`",
     ),
     "relay in the gain": (
-        lambda: plant(gain=lambda self, t, x: jnp.where(x[0] > 0.5, 2.0, 1.0)),
+        lambda: qj.simulate(loop(plant(gain=lambda self, t, x: jnp.where(x[0] > 0.5, 2.0, 1.0))), [0.9, 0.9], 2.0),
         r"`gain` of `Mine` must be continuous in the state, but jumps from 1 to 2 at t = 0, x = \(0.5, 0\)",
     ),
     "friction of no width": (lambda: qj.smoothed.sign(1.0, 0.0), "`width` must be positive, but is 0. Take a small"),

@@ -45,8 +45,7 @@ class AbstractPlant(AbstractModule):
 
     def __check_init__(self):
         require_fields(self)
-        for method in _require_plant(self):
-            require_continuous(self, method)
+        _require_plant(self)
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
@@ -82,6 +81,12 @@ class AbstractPlant(AbstractModule):
         Returns:
             A scalar.
         """
+
+
+def require_no_state_jumps(plant: AbstractPlant) -> None:
+    """Raises if drift or gain is found to jump as a function of the state; traced numbers pass."""
+    for method in _require_plant(plant):
+        require_continuous(plant, method)
 
 
 @once_per_structure

@@ -11,14 +11,14 @@ from jaxtyping import Array, Bool, Float, Int
 from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
+from qsmc_jax.model.unseen import is_consistent
 from qsmc_jax.simulation.guarded_solver import Run
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.step_size import UNRESOLVED
 from qsmc_jax.simulation.tally import OutsideStep, Peak, Problem
 
-# A run counts as leaving the funnel if, at its present speed, it would do so within this fraction of the horizon, and
-# the input does not push back now nor then.
-_IMMINENT = 1e-9
+# An instant, relative to the time: some ten thousand units in its last place.
+_IMMINENT = 1e-12
 
 
 class SampledFigures(AbstractModule):
@@ -163,12 +163,12 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
 def _outcome(problem: Problem, ending: Ending) -> Int[Array, ""]:
     """The code of how the solve ended; leaving the funnel is told from a solve that failed near its edge."""
     result = ending.result
-    is_stuck = result == dfx.RESULTS.dt_min_reached
+    is_stuck = (result == dfx.RESULTS.dt_min_reached) | (result == UNRESOLVED)
     is_far = result == dfx.RESULTS.event_occurred
-    leaves = (is_stuck | is_far) & _is_leaving(problem, ending)
+    leaves = (is_stuck | is_far) & _is_leaving(problem, ending, is_far)
     cases = (
         (result == dfx.RESULTS.successful, Outcome.COMPLETED),
-        (leaves, Outcome.LEFT_FUNNEL),
+        (leaves | (is_stuck & _is_thrown_out(problem, ending)), Outcome.LEFT_FUNNEL),
         (is_far, Outcome.BEYOND_RESOLUTION),
         (result == UNRESOLVED, Outcome.UNRESOLVED),
         (is_stuck, Outcome.STEP_TOO_SMALL),
@@ -192,21 +192,37 @@ def is_refused(outcome: Int[Array, ""]) -> Bool[Array, ""]:
     return (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
 
 
-def _is_leaving(problem: Problem, ending: Ending) -> BoolScalarLike:
+def _is_leaving(problem: Problem, ending: Ending, is_far: BoolScalarLike) -> BoolScalarLike:
     r"""Whether $|s| \to \infty$ within an instant: outward, that fast, and with an input that does not push back.
 
     At speed $|\dot s|$ what is left to the edge, $\approx e^{-|s|}$ of the funnel, is gone after about $1 / |\dot s|$.
+    An instant is twice that for a run that is followed to where the edge is no longer resolved; for one that stopped
+    before, since its steps had become as short as time resolves, it is some thousands of these.
     """
     loop, t, y = problem.loop, ending.end_time, ending.run.y
     dy = problem.coordinates.vector_field(t, y, loop)
     s, s_rate = problem.coordinates.funnel_motion(loop, t, y, dy)
-    instant = _IMMINENT * ending.horizon
+    speed = jnp.abs(s_rate)
+    left = 2.0 / jnp.where(speed > 0.0, speed, 1.0)
+    instant = jnp.where(is_far, left, _IMMINENT * t)
     x = problem.coordinates.state(loop, t, y)
     later = tuple(xi + instant * xj for xi, xj in zip(x, (*x[1:], 0.0), strict=True))
     pushes_back = (loop.control.gain_sign * loop.plant.gain(t, x) > 0.0) & (
         loop.control.gain_sign * loop.plant.gain(t + instant, later) > 0.0
     )
-    return (s * s_rate > 0.0) & (jnp.abs(s_rate) * instant > 1.0) & ~pushes_back
+    return (s * s_rate > 0.0) & (speed * instant > 1.0) & ~pushes_back
+
+
+def _is_thrown_out(problem: Problem, ending: Ending) -> BoolScalarLike:
+    """Whether the reference jumps where the run stopped, so far that the sliding variable is outside afterwards."""
+    if is_consistent(problem.loop.reference):
+        return jnp.array(False)
+    loop, t, s = problem.loop, ending.end_time, problem.coordinates.funnel_coordinate
+    within = _IMMINENT * t
+    before, after = loop.desired(t - within), loop.desired(t + within)
+    jump = loop.control.surface(tuple(a - b for a, b in zip(before[:-1], after[:-1], strict=True)))
+    rho = loop.control.funnel(t)
+    return jnp.abs(rho * ratio(s(loop, t, ending.run.y)) + jump) >= rho
 
 
 def _verdicts(

@@ -8,12 +8,15 @@ as long as the gain pushes back, by no more than $a / (g \cosh s)$: u = sinh s b
 counts |u| times as much.
 """
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from qsmc_jax.base.gudermann import sinh_cosh
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.unseen import (
     gain_range,
@@ -26,6 +29,8 @@ from qsmc_jax.model.unseen import (
 )
 from qsmc_jax.numerics.unseen import Step, Unseen, unseen
 from qsmc_jax.simulation.tally import Problem
+
+Path: TypeAlias = Callable[[RealScalarLike], Scalars]
 
 # By how much s may move unseen in a step, relative to the tolerance: 1e-3 at the default one, which moves the peak by
 # less than that.
@@ -69,15 +74,39 @@ def hidden(
     balanced = jnp.where(is_held, amount / (jnp.where(is_held, lowest, 1.0) * cosh), jnp.inf)
     moves = jnp.minimum(step.length * k * cosh * amount, balanced) + k * cosh * jump
     moves = jnp.where(jnp.isnan(moves), jnp.inf, moves)
-    return jnp.maximum(moves / jnp.clip(_WORTH * rtol, _LEAST_WORTH, _LARGEST_WORTH), growth)
+    return jnp.maximum(moves / _worth(rtol), growth)
 
 
-def probed_parts(problem: Problem) -> tuple[str, ...]:
-    """Parts of a loop that can only be probed, not enclosed, with the operations that are to blame; found by tracing."""
-    raise NotImplementedError
+def hidden_in_cell(
+    problem: Problem, implementation: Implementation, step: Step, at: Path, u: RealScalarLike, rtol: RealScalarLike
+) -> RealScalarLike:
+    """How far an open-loop cell could move the sliding variable unseen, in units of what is tolerated.
+
+    Args:
+        problem: The loop.
+        implementation: Its implementation.
+        step: The cell.
+        at: The state in it, as a function of time.
+        u: Largest input in it.
+        rtol: The relative tolerance.
+    """
+    problem, implementation, (t0, t1), u = jax.lax.stop_gradient((problem, implementation, (step.t0, step.t1), u))
+    step, loop = Step(t0, t1, step.nodes), problem.loop
+    gain = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.gain(t, at(t)), step)
+    drift = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.drift(t, at(t)), step)
+    pushes = joined([unseen_in_signal(loop.disturbance, step), drift]).amount + gain.amount * jnp.abs(u)
+    for c, signal in zip(loop.control.surface.c, implementation.unmatched, strict=False):
+        pushes = pushes + c * unseen_in_signal(signal, step).amount
+    wander = loop.control.surface([unseen_in_reference(loop.reference, i, step).amount for i in range(loop.order)])
+    moves = (step.length * pushes + wander) / loop.control.funnel(t1)
+    return jnp.where(jnp.isnan(moves), jnp.inf, moves) / _worth(rtol)
 
 
-def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]):
+def _worth(rtol: RealScalarLike) -> RealScalarLike:
+    return jnp.clip(_WORTH * rtol, _LEAST_WORTH, _LARGEST_WORTH)
+
+
+def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]) -> Path:
     """The state along the step, by the parabola through its start, middle and end."""
     loop, t0, h = problem.loop, step.t0, step.length
     inverse = jnp.where(h > 0.0, 1.0 / jnp.where(h > 0.0, h, 1.0), 0.0)
@@ -93,7 +122,7 @@ def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]):
     return state
 
 
-def _pushes(loop: ClosedLoop, step: Step, at) -> Unseen:
+def _pushes(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
     """What may hide in w, which pushes the sliding variable."""
     parts = [unseen_in_signal(loop.disturbance, step), unseen_in_reference(loop.reference, loop.order, step)]
     if not is_known(loop.plant):
@@ -101,7 +130,7 @@ def _pushes(loop: ClosedLoop, step: Step, at) -> Unseen:
     return joined(parts)
 
 
-def _gain(loop: ClosedLoop, step: Step, at) -> tuple[RealScalarLike, RealScalarLike]:
+def _gain(loop: ClosedLoop, step: Step, at: Path) -> tuple[RealScalarLike, RealScalarLike]:
     """What may hide in the gain, and the least it may be, times its sign."""
     sign = loop.control.gain_sign
     if is_known(loop.plant):

@@ -59,7 +59,7 @@ _ADVICE = {
     Outcome.MAX_STEPS: 'Gave up after `max_steps` steps. Try a larger `max_steps`, or `method="rodas5p"` for a '
     "stiff loop.",
     Outcome.STEP_TOO_SMALL: "The step size fell to the resolution of time: the drift, gain, reference or disturbance "
-    "is not finite, or jumps at a time that is not among `break_times`.",
+    "is not finite, or jumps in the state where the run sticks (`qj.smoothed` has friction that does not).",
     Outcome.BEYOND_RESOLUTION: "Came closer to the funnel's edge than float64 resolves, with the input still pushing "
     "back: the disturbance or drift is huge against the gain.",
     Outcome.LOST: "Left the funnel for good, a thousand of its widths away, and was not followed further: sample "

@@ -15,12 +15,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base import trees
+from qsmc_jax.base.hermite import Cubic
 from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.control.control import Sample
 from qsmc_jax.implementation.implementation import Implementation
+from qsmc_jax.numerics.unseen import Nodes, Step
 from qsmc_jax.simulation.explicit import explicit_stages, weighted
+from qsmc_jax.simulation.guard import Path, hidden_in_cell
 from qsmc_jax.simulation.instant import Cell, Instant, at_instant
 from qsmc_jax.simulation.sampled_tally import (
     CellTally,
@@ -35,6 +38,7 @@ from qsmc_jax.simulation.tally import Problem
 
 # Bogacki and Shampine's pair of order 3(2): between samples, cells are short anyhow.
 _TABLEAU = dfx.Bosh3.tableau
+_NODES = Nodes((0.0, *map(float, _TABLEAU.c)), few=(0.0, 0.5, 1.0))
 # A run is lost once it is this many funnel widths away, or this many times as far as it started.
 _LOST = 1000.0
 _SHRINKS_BY, _GROWS_BY, _SAFETY = 0.2, 5.0, 0.9
@@ -266,9 +270,19 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
     h = end - now.t
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
     allowed = plan.rtol * (right.rho + jnp.abs(right.sigma))
-    error = errors / allowed
-    error = jnp.where(jnp.isfinite(error), error, jnp.inf)
-    return Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end)), actuator_at(end), error
+    cell = Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end))
+    largest = ft.reduce(jnp.maximum, map(jnp.abs, (cell.u0, cell.middle, cell.u1)))
+    path = _path(now, h, x1, first, stages[-1])
+    hides = hidden_in_cell(plan.problem, plan.implementation, Step(now.t, end, _NODES), path, largest, plan.rtol)
+    error = jnp.maximum(errors / allowed, hides**2)
+    return cell, actuator_at(end), jnp.where(jnp.isfinite(error), error, jnp.inf)
+
+
+def _path(now: Instant, h: RealScalarLike, x1: Scalars, rates0: Scalars, rates1: Scalars) -> Path:
+    """The state in a cell, by the cubic through its ends and their rates."""
+    cubics = [Cubic(a, b, h * m, h * n) for a, b, m, n in zip(now.x, x1, rates0, rates1, strict=True)]
+    inverse = jnp.where(h > 0.0, 1.0 / jnp.where(h > 0.0, h, 1.0), 0.0)
+    return lambda t: tuple(cubic((t - now.t) * inverse) for cubic in cubics)
 
 
 def _step_factor(error: RealScalarLike) -> RealScalarLike:

@@ -16,6 +16,7 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.consistency import require_consistent
+from qsmc_jax.model.plants import require_no_state_jumps
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures, is_refused
 from qsmc_jax.simulation.outcome import Outcome, Verdict
@@ -217,15 +218,16 @@ def simulate(
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
-    """Raises `ValueError` unless the start and the horizon fit the loop, and its reference fits itself there.
+    """Raises `ValueError` unless the start and the horizon fit the loop.
 
-    Traced numbers pass.
+    Nor may its plant jump in the state, or the derivatives of its reference contradict each other. Traced numbers pass.
     """
     require_shape("x0", x0, (loop.order,), f"the plant has order {loop.order}")
     require_finite("x0", x0)
     require_positive("t1", t1)
     if loop.implementation is not None:
         loop.implementation.check(loop.order, t1)
+    require_no_state_jumps(loop.plant)
     require_consistent(loop.reference, loop.order, t1)
 
 
