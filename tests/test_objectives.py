@@ -183,6 +183,14 @@ def test_runs_that_are_all_unknown_leave_nothing_to_go_by(statistic):
     assert slopes["peak_u"].tolist() == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.parametrize("statistic", [worst, least])
+@pytest.mark.parametrize("sample", [np.full(3, 0.67628034), np.full(7, 1.01), np.array([0.1 + 0.2, 0.3, 0.3])], ids=str)
+def test_smooth_extremes_of_numbers_that_rounding_tells_apart_are_the_extremes(statistic, sample):
+    """Their standard deviation need not come out as 0: that of three times 0.67628034 is 1e-16."""
+    assert value(statistic("peak_u"), sample, 0.4) == pytest.approx(sample[0], rel=1e-12)
+    assert weights(statistic("peak_u"), sample, 0.4).sum() == pytest.approx(1.0, rel=1e-9)
+
+
 @settings(max_examples=25)
 @given(samples, numbers)
 def test_scaling_scales_value_and_weights_from_either_side(sample, factor):

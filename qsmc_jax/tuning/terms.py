@@ -81,6 +81,10 @@ class Term:
         return f"{weight}{self.statistic}({self.metric}{level})"
 
 
+# Part of a number below which a difference to another may be rounding.
+_ROUNDING = 1e-12
+
+
 def _mean(values: np.ndarray, level: float, smoothing: float) -> tuple[float, np.ndarray]:
     return float(values.mean()), np.full(len(values), 1.0 / len(values))
 
@@ -98,7 +102,8 @@ def _worst(values: np.ndarray, level: float, smoothing: float) -> tuple[float, n
     """The maximum, or the logarithm of the sum of exponentials, which is above it."""
     width = smoothing * float(values.std())
     top = float(values.max())
-    if width == 0.0:
+    # Of numbers that are equal but for rounding, so is the standard deviation nothing but rounding.
+    if width == 0.0 or np.ptp(values) <= _ROUNDING * np.abs(values).max():
         return top, np.eye(len(values))[int(values.argmax())]
     powers = np.exp((values - top) / width)
     weights, logarithm = powers / powers.sum(), float(np.log(powers.sum()))
