@@ -153,24 +153,42 @@ def test_weights_sum_to_one_since_a_shift_of_all_runs_shifts_the_statistic(stati
 @pytest.mark.parametrize("statistic", STATISTICS, ids=STATISTIC_IDS)
 @settings(max_examples=15)
 @given(data=st.data(), sample=samples)
-def test_unknown_runs_are_passed_over(statistic, smoothing, data, sample):
+def test_one_unknown_run_makes_it_infinite_and_a_descent_goes_by_the_known(statistic, smoothing, data, sample):
     count = data.draw(st.integers(1, 4))
     places = data.draw(st.lists(st.integers(0, len(sample)), min_size=count, max_size=count))
     fillers = data.draw(st.lists(st.sampled_from([np.nan, np.inf, -np.inf]), min_size=count, max_size=count))
     holed = np.insert(sample, places, fillers)
     known = np.isfinite(holed)
     objective = statistic("peak_u")
-    assert value(objective, holed, smoothing) == value(objective, sample, smoothing)
-    assert weights(objective, holed, smoothing)[known].tolist() == weights(objective, sample, smoothing).tolist()
-    assert weights(objective, holed, smoothing)[~known].tolist() == [0.0] * count
+    assert value(objective, holed, smoothing) == math.inf
+    for factor in (1.0, -3.0):
+        assert value(factor * objective, holed, smoothing) == math.inf
+    assert ((objective <= 1e9).excess({"peak_u": holed})[0], (objective >= -1e9).excess({"peak_u": holed})[0]) == (
+        math.inf,
+        math.inf,
+    )
+    among_known, slopes = objective.among_known({"peak_u": holed}, smoothing)
+    assert among_known == value(objective, sample, smoothing)
+    assert slopes["peak_u"][known].tolist() == weights(objective, sample, smoothing).tolist()
+    assert slopes["peak_u"][~known].tolist() == [0.0] * count
 
 
 @pytest.mark.parametrize("statistic", STATISTICS, ids=STATISTIC_IDS)
-def test_nothing_is_known_of_runs_that_are_all_unknown(statistic):
+def test_runs_that_are_all_unknown_leave_nothing_to_go_by(statistic):
     objective = mean("energy_u") + statistic("peak_u")
-    total, slopes = objective.evaluate({"peak_u": np.full(3, np.nan), "energy_u": np.ones(3)})
-    assert math.isnan(total)
+    columns = {"peak_u": np.full(3, np.nan), "energy_u": np.ones(3)}
+    total, slopes = objective.evaluate(columns)
+    assert total == math.inf
+    assert objective.among_known(columns)[0] == 1.0
     assert slopes["peak_u"].tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("statistic", [worst, least])
+@pytest.mark.parametrize("sample", [np.full(3, 0.67628034), np.full(7, 1.01), np.array([0.1 + 0.2, 0.3, 0.3])], ids=str)
+def test_smooth_extremes_of_numbers_that_rounding_tells_apart_are_the_extremes(statistic, sample):
+    """Their standard deviation need not come out as 0: that of three times 0.67628034 is 1e-16."""
+    assert value(statistic("peak_u"), sample, 0.4) == pytest.approx(sample[0], rel=1e-12)
+    assert weights(statistic("peak_u"), sample, 0.4).sum() == pytest.approx(1.0, rel=1e-9)
 
 
 @settings(max_examples=25)
@@ -250,6 +268,43 @@ def test_violation_turns_where_the_tail_has_mean_one(probability, holds):
     # The tail of 0.25 is of 5 runs, of mean 4.9 / 5; that of 0.2 is of 4, of mean 4.1 / 4
     ratio = np.array([1.3, 1.2] + [0.8] * 18)
     assert (violation(probability).excess({"peak_ratio": ratio})[0] <= 0.0) == holds
+
+
+@given(st.lists(st.floats(0.0, 0.999), min_size=1, max_size=30), st.floats(0.01, 0.99), st.data())
+def test_a_run_that_left_is_worse_than_any_that_held(held, probability, data):
+    """As an ideal loop writes it, peak_ratio 1, or unknown; whatever share may leave."""
+    place = data.draw(st.integers(0, len(held) - 1))
+    for left in (1.0, math.nan):
+        rows = np.array(held)
+        rows[place] = 0.999
+        before = violation(probability).excess({"peak_ratio": rows})[0]
+        rows[place] = left
+        assert violation(probability).excess({"peak_ratio": rows})[0] > before
+
+
+@pytest.mark.parametrize("left", [1.0, math.nan])
+@pytest.mark.parametrize("count", [2, 3, 256])
+def test_violation_is_passed_if_more_than_its_share_left(count, left):
+    """Also if all have left, and where each has at the very end of its horizon."""
+    rows = np.full(256, 0.9999)
+    rows[:count] = left
+    for columns in ({"peak_ratio": rows}, {"peak_ratio": rows, "loss": np.where(rows < 1.0, 0.0, 0.01)}):
+        assert violation(0.9 * count / 256).excess(columns)[0] > 1e-3
+
+
+def test_violation_is_kept_if_fewer_than_its_share_left():
+    # The tail is of 25.6 runs, of mean (2 * 1.76 + 23.6 * 0.5) / 25.6.
+    rows, loss = np.full(256, 0.5), np.zeros(256)
+    rows[7:9], loss[7:9] = math.nan, 0.76
+    excess, _ = violation(0.1).excess({"peak_ratio": rows, "loss": loss})
+    assert excess == pytest.approx((2 * 1.76 + 23.6 * 0.5) / 25.6 - 1.0)
+
+
+def test_weights_of_violation_by_what_was_lost_are_central_differences():
+    rows, loss = np.array([0.5, 0.9, math.nan, 0.7, math.nan]), np.array([0.0, 0.0, 0.4, 0.0, 0.8])
+    expected = central_differences(lambda at: violation(0.5).excess({"peak_ratio": rows, "loss": at})[0], loss, 1e-5)
+    assert violation(0.5).excess({"peak_ratio": rows, "loss": loss})[1]["loss"] == pytest.approx(expected, abs=1e-9)
+    assert expected[[2, 4]].min() > 0.1
 
 
 @pytest.mark.parametrize("probability", [-0.1, 0.0, 1.5])

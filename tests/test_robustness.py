@@ -10,6 +10,7 @@ import pytest
 import scipy.stats
 
 import qsmc_jax as qj
+from qsmc_jax.verification.robustness import _median
 from qsmc_jax.verification.simultaneous import median_interval, simultaneous_intervals
 from tests.coin_study import scenario, study
 from tests.drawing import draws_in_given_axes
@@ -54,6 +55,25 @@ def test_a_swept_distribution_leaves_the_other_names_where_they_were(coins):
     assert np.all(starts.funnel.violated == np.sum(coins < 0.1))
     # Without a violation the peak is that of the start, (0.5 + 0.2 start) / 1.1.
     assert starts.medians["peak_ratio"] == pytest.approx((0.5 + 0.2 * np.array([0.1, 0.9])) / 1.1, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ([("HELD", 0.5), ("HELD", 0.6), ("HELD", 0.9)], 0.6),
+        ([("HELD", 0.5), ("UNDECIDED", np.nan), ("HELD", 0.9)], 0.9),
+        ([("VIOLATED", np.nan), ("UNDECIDED", np.nan), ("HELD", 0.9)], np.inf),
+        ([("HELD", 0.5), ("VIOLATED", np.nan)], np.inf),
+        ([("HELD", 0.5), ("VIOLATED", 1.0), ("VIOLATED", 1.2)], 1.0),
+        ([("HELD", 0.5), ("INADMISSIBLE", np.nan), ("INADMISSIBLE", np.nan)], 0.5),
+        ([("UNDECIDED", np.nan)], np.nan),
+    ],
+    ids=str,
+)
+def test_a_median_counts_a_lost_run_above_every_other(rows, expected):
+    verdict = np.array([int(qj.Verdict[name]) for name, _ in rows])
+    table = qj.Runs({"verdict": verdict, "peak_ratio": np.array([value for _, value in rows])}, ())
+    np.testing.assert_equal(_median(table, "peak_ratio"), expected)
 
 
 def test_each_interval_is_clopper_pearsons_at_its_share_of_the_risk(over_p):

@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 import problems
 import qsmc_jax as qj
 from qsmc_jax.base.module import float_field
+from qsmc_jax.study.sampling import Random
+from qsmc_jax.study.tangents import differentiate
 
 # One compiled program each.
 ROUTES = {
@@ -126,6 +128,40 @@ def test_right_sign_leaves_every_lane_held():
     runs = solve_lanes({}, sign=1.0)
     assert runs.counts()[qj.Verdict.HELD] == len(runs)
     np.testing.assert_allclose(runs["peak_ratio"], runs["z0"], rtol=1e-9)
+
+
+def wrong_sign_from(draw):
+    """The same, but that gain and start are parameters, and what is drawn scales the start."""
+    gain, start = draw.parameter("gain", 1.0, bounds=(0.5, 2.0)), draw.parameter("start", 1.0, bounds=(0.5, 1.0))
+    loop = problems.scalar_loop(problems.STILL, draw.parameter("sign", -1.0, bounds=(-1.0, 1.0)), gain_scale=gain)
+    return qj.Scenario(loop, x0=[draw.uniform("z0", 0.05, 0.98) * start * problems.WIDTH], t1=20.0)
+
+
+# Near the end s grows without bound and what it is off with it: the derivative has some digits less than the time.
+@pytest.mark.parametrize(
+    ("mode", "preset", "rtol"),
+    [
+        ("forward", {}, 1e-2),
+        pytest.param("forward", TIGHT, 1e-4, marks=pytest.mark.slow),
+        pytest.param("reverse", {}, 1e-2, marks=pytest.mark.slow),
+        pytest.param("forward", {"method": "rodas5p"}, 1e-2, marks=pytest.mark.slow),
+    ],
+)
+def test_time_of_escape_has_the_derivative_of_its_closed_form(mode, preset, rtol):
+    """With t = -ln(sin(pi z / 2)) / k, k = pi g / (2 rho): dt/dg = -t / g, dt/dz = -(pi / 2) cot(pi z / 2) / k."""
+    study = qj.Study(wrong_sign_from, bandwidth=problems.STILL_BANDWIDTH)
+    settings = qj.SolverSettings(**preset, adjoint=mode)
+    asked = {"names": ("gain", "start"), "metrics": ("violation_time",), "settings": settings, "block": 64}
+    found = differentiate(study, np.arange(64), 0, **asked)
+    z = 0.05 + 0.93 * Random().points(0, np.arange(64), study.dimension)[:, 0]
+    by_gain = [-problems.escape_time(each) for each in z]
+    by_start = -z * math.pi / 2 / np.tan(math.pi * z / 2) / (math.pi / (2 * problems.WIDTH))
+    assert found.is_known.all()
+    np.testing.assert_allclose(found.jacobian[:, 0, 0], by_gain, rtol=rtol)
+    np.testing.assert_allclose(found.jacobian[:, 0, 1], by_start, rtol=rtol, atol=1e-4)
+    held = differentiate(study.substitute(sign=1.0), np.arange(64), 0, **asked)
+    assert np.isinf(held.values).all()
+    assert not held.jacobian.any()
 
 
 @pytest.mark.parametrize("method", ["tsit5", pytest.param("rodas4", marks=pytest.mark.slow), "rodas5p"])

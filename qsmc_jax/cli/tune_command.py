@@ -99,6 +99,8 @@ class _Told:
         gains = ", ".join(f"{name} {value:.4g}" for name, value in made.gains.items())
         lack = 100.0 * max(made.lacks, default=0.0)
         reason = f"a constraint passed by {lack:.2g} %" if lack > 0.0 else "figures not known"
+        if made.lost > 0.0:
+            reason = f"{100.0 * made.lost:.3g} % of the runs left the funnel or are undecided"
         kept = "" if made.is_feasible else f", {reason}"
         self._tell(
             f"evaluation {self._count}, {made.spent} simulations, {gains}: {made.objective:.5g}{kept} "

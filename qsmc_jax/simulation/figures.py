@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import diffrax as dfx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -148,7 +149,7 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
         peak_u=known(sinh_cosh(peak.height)[0], jnp.inf),
         peak_u_bound=known(_comparison_bound(problem, peak, ending.first_height)),
         reach_time=known(reach_time, jnp.inf),
-        violation_time=known(jnp.inf, ending.end_time),
+        violation_time=known(jnp.inf, _escape_time(problem, ending, has_left)),
         settle_time=known(settle_time, jnp.inf),
         peak_errors=tuple(jnp.where(is_steady, peak, jnp.nan) for peak in tally.peak_errors),
         rms_error=known(jnp.sqrt(tally.squared_error / jnp.where(is_complete, ending.end_time, 1.0))),
@@ -190,6 +191,18 @@ def first_to_apply(
 def is_refused(outcome: Int[Array, ""]) -> Bool[Array, ""]:
     """Whether a run was not solved at all, since a premise does not hold."""
     return (outcome == Outcome.STARTED_OUTSIDE) | (outcome == Outcome.BAD_PARAMETERS)
+
+
+def _escape_time(problem: Problem, ending: Ending, has_left: Bool[Array, ""]) -> RealScalarLike:
+    r"""The end of a run that left, with its derivative $-\partial_p s / \dot s$, s and its speed those at the end.
+
+    The times of the steps have none; but a run ends where s, not the time, has a given value.
+    """
+    t, y = ending.end_time, ending.run.y
+    dy = problem.coordinates.vector_field(t, y, problem.loop)
+    # Where it did not leave s may be anything: not even zero times its derivative is to be had.
+    s, s_rate = (jnp.where(has_left, each, 1.0) for each in problem.coordinates.funnel_motion(problem.loop, t, y, dy))
+    return t - (s - jax.lax.stop_gradient(s)) / jax.lax.stop_gradient(s_rate)
 
 
 def _is_leaving(problem: Problem, ending: Ending, is_far: BoolScalarLike) -> BoolScalarLike:

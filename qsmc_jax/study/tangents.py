@@ -27,12 +27,14 @@ class Tangents:
             known, so that no mean is spoilt.
         is_known: Where figure and derivative are both known, (runs, metrics).
         verdict: The runs' verdicts on the funnel.
+        outcome: How their solves ended.
     """
 
     values: Float[np.ndarray, "runs metrics"]
     jacobian: Float[np.ndarray, "runs metrics names"]
     is_known: np.ndarray
     verdict: np.ndarray
+    outcome: np.ndarray
 
 
 def differentiate(
@@ -75,11 +77,11 @@ def differentiate(
         return [np.asarray(part)[: len(chunk)] for part in result]
 
     with ThreadPoolExecutor(thread_count(threads)) as pool:
-        values, jacobian, verdict, steps = map(np.concatenate, zip(*pool.map(solve, chunks), strict=True))
+        values, jacobian, verdict, outcome, steps = map(np.concatenate, zip(*pool.map(solve, chunks), strict=True))
     is_known = np.isfinite(values) & np.isfinite(jacobian).all(axis=2)
     if settings.adjoint == "reverse" and study.nominal.loop.implementation is None:
         is_known &= (steps <= CHECKPOINTS)[:, None]
-    return Tangents(values, np.where(is_known[:, :, None], jacobian, 0.0), is_known, verdict)
+    return Tangents(values, np.where(is_known[:, :, None], jacobian, 0.0), is_known, verdict, outcome)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,22 +100,22 @@ class _Block:
         bandwidth: Float[Array, ""],
         rtol: Float[Array, ""],
         atol: Float[Array, ""],
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array, Array]:
         settings = SolverSettings(rtol, atol, **dict(self.choices))
         at = jnp.stack([values[name] for name in self.names])
 
         def figures(
             at: Float[Array, " names"], point: Float[Array, " dim"]
-        ) -> tuple[Array, tuple[Array, Array, Array]]:
+        ) -> tuple[Array, tuple[Array, Array, Array, Array]]:
             tuned = {name: at[i] for i, name in enumerate(self.names)}
             _, made = run(scenario, settings, bandwidth, {**values, **tuned}, point)
             columns = made.columns()
             chosen = jnp.stack([columns[metric] for metric in self.metrics])
-            return chosen, (chosen, made.verdict, made.steps)
+            return chosen, (chosen, made.verdict, made.outcome, made.steps)
 
         mode = _forward if settings.adjoint == "forward" else _reverse
-        jacobian, (chosen, verdict, steps) = mode(figures, at, points)
-        return chosen, jacobian, verdict, steps
+        jacobian, (chosen, verdict, outcome, steps) = mode(figures, at, points)
+        return chosen, jacobian, verdict, outcome, steps
 
 
 def _reverse(figures: Callable[..., Any], at: Float[Array, " names"], points: Float[Array, "lanes dim"]) -> Any:

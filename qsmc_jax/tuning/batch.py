@@ -1,8 +1,7 @@
 """The training runs: the same random numbers for all gains, their objective and constraints, and what was spent."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +14,7 @@ from qsmc_jax.study.study import Study
 from qsmc_jax.study.tangents import differentiate
 from qsmc_jax.tuning.box import Box
 from qsmc_jax.tuning.objectives import Constraint, Objective
+from qsmc_jax.tuning.rows import LOSS, NEEDED, counted, is_unknown, mean_loss, slopes
 
 # A constraint counts as kept up to this part of its bound.
 KEPT = 1e-6
@@ -26,12 +26,15 @@ class Evaluation:
 
     Attributes:
         gains: The gains, by name.
-        objective: The objective, without smoothing.
+        objective: The objective, without smoothing; infinite if a figure that it needs is not known in some run.
         excess: By how much each constraint is passed, in units of its bound; kept where not positive.
         inside: How far inside its bound each must stay, in units of it.
-        unknown: Part of the runs that are inadmissible or undecided, or in which some figure is not known.
-        allowed: What part may be: that at the study's own gains. Statistics pass over unknown runs, and gains must not
-            look better by making more of them.
+        lost: Part of the runs that left the funnel or could not be decided, and have no figures for that.
+        unknown: Part of the runs in which a figure is not known, for that or another reason, or that are inadmissible.
+        inadmissible: Part of the runs that are inadmissible: statistics are those of the others.
+        allowed: What part may be: that at the study's own gains. Gains must not look better by shutting runs out.
+        loss: Mean over the admissible runs of what each lost that has not all figures: at least 0.01, and the part of
+            its horizon that was left when it left; see `counted`.
         spent: Simulations made so far; a gradient counts as one for the run and one for each name.
         start: Number of the start that the descent came from; -1 for the starts themselves.
         attempt: Number of the design, from 0.
@@ -41,8 +44,11 @@ class Evaluation:
     objective: float
     excess: tuple[float, ...]
     inside: float
+    lost: float
     unknown: float
+    inadmissible: float
     allowed: float
+    loss: float
     spent: int
     start: int
     attempt: int
@@ -54,16 +60,21 @@ class Evaluation:
 
     @property
     def is_feasible(self) -> bool:
-        """Whether every constraint is kept and the objective known, in no fewer runs than at the study's own gains."""
-        is_known = bool(np.isfinite(self.objective)) and self.unknown <= self.allowed
+        """Whether every constraint is kept, and the objective known in every run, no fewer than at the own gains."""
+        is_known = bool(np.isfinite(self.objective)) and self.inadmissible <= self.allowed
         return is_known and all(each <= KEPT for each in self.lacks)
 
     @property
-    def merit(self) -> tuple[bool, float]:
-        """Smaller is better: feasible ones by their objective, then the others by what they lack."""
-        lack = sum(max(each, 0.0) if np.isfinite(each) else np.inf for each in self.lacks)
-        lack += max(self.unknown - self.allowed, 0.0)
-        return not self.is_feasible, self.objective if self.is_feasible else lack
+    def merit(self) -> tuple[int, float]:
+        """Smaller is better: feasible gains by their objective, others by what they lack, those that lose runs last.
+
+        Gains that lose runs are ordered by how many those are and how soon they left, whatever the constraints say.
+        """
+        if self.is_feasible:
+            return 0, self.objective
+        if self.loss > 0.0:
+            return 2, self.loss
+        return 1, sum(max(each, 0.0) for each in self.lacks) + max(self.inadmissible - self.allowed, 0.0)
 
 
 @dataclasses.dataclass
@@ -82,7 +93,7 @@ class Batch:
         threads: Blocks solved at the same time; None for one a core.
         attempt: Number of the design.
         tell: Told each evaluation.
-        allowed: Part of the runs that may be unknown.
+        allowed: Part of the runs that may be inadmissible.
         inside: How far inside its bound each constraint must stay, in units of it.
         spent: Simulations made so far.
         history: Every evaluation, in order.
@@ -120,35 +131,49 @@ class Batch:
             settings=self.settings,
             block=self._block,
             threads=self.threads,
-        )
+        ).columns
         self.spent += self.runs
-        return self._keep(gains, {metric: table[metric] for metric in self.metrics}, table["verdict"], start)
+        return self._keep(gains, table, counted(table, self.metrics, self._horizon(gains)), start)
 
     def differentiate(
         self, v: Float[np.ndarray, " names"], smoothing: float, start: int
     ) -> tuple[Evaluation, np.ndarray, np.ndarray]:
-        """The same, and smoothed objective and excesses (1 + constraints) with their derivatives by `v`."""
-        gains = self.box.gains(v)
+        """The same, and finite numbers for a descent to go by, with their derivatives by `v`.
+
+        Returns:
+            The evaluation; smoothed objective and excesses, each over the runs in which it is known, and what lost runs
+            lack, negative if there are none, (1 + constraints + 1,); and their derivatives.
+        """
+        gains, wanted = self.box.gains(v), tuple(dict.fromkeys((*self.metrics, *NEEDED)))
         found = differentiate(
             self.study.substitute(**gains),
             np.arange(self.runs),
             self.seed,
             names=self.box.names,
-            metrics=self.metrics,
+            metrics=wanted,
             settings=self.settings,
             block=self._block,
             threads=self.threads,
         )
         self.spent += self.runs * (1 + len(self.box.names))
-        known = np.where(found.is_known, found.values, np.nan)
-        columns = {metric: known[:, i] for i, metric in enumerate(self.metrics)}
-        by_metric = {metric: found.jacobian[:, i] for i, metric in enumerate(self.metrics)}
-        parts = [self.objective.evaluate(columns, smoothing)]
-        parts += [constraint.excess(columns, smoothing) for constraint in self.constraints]
+        table = {metric: found.values[:, i] for i, metric in enumerate(wanted)}
+        table |= {"verdict": found.verdict, "outcome": found.outcome}
+        horizon, by_name = self._horizon(gains), {metric: found.jacobian[:, i] for i, metric in enumerate(wanted)}
+        columns = counted(table, self.metrics, horizon)
+        by_column = {name: by_name[name][found.verdict != Verdict.INADMISSIBLE] for name in self.metrics}
+        by_column[LOSS] = slopes(table, by_name, horizon)
+        made = self._keep(gains, table, columns, start)
+        lacking, by_loss = mean_loss(columns, self.metrics)
+        lacking += max(made.inadmissible - made.allowed, 0.0)
+        parts = [self.objective.among_known(columns, smoothing)]
+        parts += [constraint.lead(columns, smoothing) for constraint in self.constraints]
+        parts.append((lacking if lacking > 0.0 else -1.0, by_loss))
         values = np.array([value for value, _ in parts])
-        slopes = np.array([sum(w @ by_metric[m] for m, w in weights.items()) for _, weights in parts])
-        raw = {metric: found.values[:, i] for i, metric in enumerate(self.metrics)}
-        return self._keep(gains, raw, found.verdict, start), values, slopes * self.box.slopes(v)
+        by_gain = np.array([sum(w @ by_column[name] for name, w in weights.items()) for _, weights in parts])
+        return made, values, by_gain * self.box.slopes(v)
+
+    def _horizon(self, gains: Mapping[str, float]) -> float:
+        return float(self.study.substitute(**gains).nominal.t1)
 
     @property
     def _block(self) -> int:
@@ -156,15 +181,22 @@ class Batch:
         each = -(-self.runs // (thread_count(self.threads) * LANE_MULTIPLE)) * LANE_MULTIPLE
         return min(self.block, each)
 
-    def _keep(self, gains: dict[str, float], columns: Any, verdict: np.ndarray, start: int) -> Evaluation:
-        is_known = np.all([np.isfinite(column) for column in columns.values()], axis=0)
+    def _keep(
+        self, gains: dict[str, float], table: Mapping[str, np.ndarray], columns: Mapping[str, np.ndarray], start: int
+    ) -> Evaluation:
+        verdict = np.asarray(table["verdict"])
+        has_figures = ~is_unknown(columns, self.metrics)
+        inadmissible = float(np.mean(verdict == Verdict.INADMISSIBLE))
         made = Evaluation(
             gains=gains,
             objective=self.objective.evaluate(columns)[0],
             excess=tuple(constraint.excess(columns)[0] for constraint in self.constraints),
             inside=self.inside,
-            unknown=float(np.mean(~is_known | np.isin(verdict, (Verdict.UNDECIDED, Verdict.INADMISSIBLE)))),
+            lost=float(np.sum(columns[LOSS] > 0.0)) / len(verdict),
+            unknown=1.0 - float(np.sum(has_figures)) / len(verdict),
+            inadmissible=inadmissible,
             allowed=self.allowed,
+            loss=mean_loss(columns, self.metrics)[0],
             spent=self.spent,
             start=start,
             attempt=self.attempt,

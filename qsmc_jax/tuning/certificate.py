@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.objectives import Constraint, Objective
+from qsmc_jax.tuning.rows import counted, is_solved_to_its_end
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.simultaneous import each_of
 from qsmc_jax.verification.statistics import clopper_pearson
@@ -144,26 +146,46 @@ def certify(
         tables = decide(there, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
         table = concatenate(list(tables))
         verdict = table["verdict"]
-        # A start outside the funnel counts as a failure: gains must not look safe by shutting runs out.
-        funnel = _counted(
-            "in the funnel from t = 0 on",
-            (verdict == Verdict.VIOLATED) | (verdict == Verdict.INADMISSIBLE),
-            verdict == Verdict.UNDECIDED,
-            each,
-        )
+        funnel = _counted("in the funnel from t = 0 on", fails_any(verdict), verdict == Verdict.UNDECIDED, each)
         kept = [_kept(constraint, table, each) for constraint in single]
-        fresh = objective.evaluate({metric: table[metric] for metric in objective.metrics})[0]
+        fresh = objective.evaluate(counted(table.columns, objective.metrics, float(there.nominal.t1)))[0]
         made.append(Certificate(gains, seed, runs, risk, confidence, (funnel, *kept), fresh, trained))
     return made
 
 
-def _kept(constraint: Constraint, table: Runs, confidence: float) -> Guarantee:
-    """How often a single run passes the bound; a run whose figure is not known is undecided."""
+def fails_any(verdict: np.ndarray) -> np.ndarray:
+    """The runs that fail whatever is said of them, unless a known figure says otherwise.
+
+    A start outside the funnel counts as a failure: gains must not look safe by shutting runs out.
+    """
+    return (verdict == Verdict.VIOLATED) | (verdict == Verdict.INADMISSIBLE)
+
+
+def judge(constraint: Constraint, table: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Which single runs fail a bound for certain, and which could not be decided; every other run keeps it for certain.
+
+    A run keeps the bound only if its figure is known, over the whole horizon, and lies within; one that left the funnel
+    fails whatever bound implies that it stays there. Where the figure is not known a run that left fails, as one that
+    was not admissible does, and any other is undecided.
+
+    Args:
+        constraint: A constraint on single runs.
+        table: The runs, by column.
+    """
     metric = str(constraint.per_run)
-    values, sign = table[metric], "<=" if constraint.side > 0 else ">="
-    is_unknown = np.isnan(values)
+    values, verdict = table[metric], table["verdict"]
+    is_known = is_solved_to_its_end(table) & np.isfinite(values)
     passes = constraint.side * (values - constraint.bound) > 0.0
-    return _counted(f"{metric} {sign} {constraint.bound:g}", passes & ~is_unknown, is_unknown, confidence)
+    if constraint.implies_funnel:
+        passes |= verdict == Verdict.VIOLATED
+    failed = np.where(is_known, passes, fails_any(verdict)) | (verdict == Verdict.INADMISSIBLE)
+    return failed, ~is_known & ~failed
+
+
+def _kept(constraint: Constraint, table: Runs, confidence: float) -> Guarantee:
+    """How often a single run passes the bound."""
+    sign = "<=" if constraint.side > 0 else ">="
+    return _counted(f"{constraint.per_run} {sign} {constraint.bound:g}", *judge(constraint, table.columns), confidence)
 
 
 def _counted(statement: str, failed: np.ndarray, undecided: np.ndarray, confidence: float) -> Guarantee:

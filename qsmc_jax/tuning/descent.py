@@ -31,7 +31,7 @@ class Slope:
         batch: The training runs.
         smoothing: Width of the smooth maximum.
         start: Number of the start.
-        scale: What the objective is divided by.
+        scale: What the objective is divided by; 0 for what it is at the first point, over the runs that have it.
     """
 
     batch: Batch
@@ -41,14 +41,14 @@ class Slope:
     _last: tuple[bytes, np.ndarray, np.ndarray] | None = None
 
     def at(self, v: Float[np.ndarray, " names"]) -> tuple[np.ndarray, np.ndarray]:
-        """Relative objective and excesses, (1 + constraints), and their derivatives by `v`."""
+        """Relative objective, excesses and what lost runs lack, (1 + constraints + 1), with their derivatives."""
         key = np.asarray(v, np.float64).tobytes()
         if self._last is None or self._last[0] != key:
             _, values, slopes = self.batch.differentiate(np.asarray(v), self.smoothing, self.start)
+            self.scale = self.scale or abs(float(values[0])) or 1.0
             unit = np.array([self.scale, *np.ones(len(values) - 1)])
-            # A trial with nothing known is as bad as can be, and says so with a finite number.
-            values = np.where(np.isfinite(values), values / unit, 1e6)
-            values[1:] += self.batch.inside
+            values = values / unit
+            values[1:-1] += self.batch.inside
             self._last = (key, values, slopes / unit[:, None])
         return self._last[1], self._last[2]
 
@@ -61,7 +61,10 @@ class Slope:
 
 
 def descend(slope: Slope, v0: Float[np.ndarray, " names"], method: Method, steps: int, tolerance: float) -> None:
-    """Goes down from `v0`; what it meets is in the history of the batch.
+    """Goes down from `v0`, once no run is lost there; what it meets is in the history of the batch.
+
+    Where runs are lost the objective is not known: what they lost is made small first, and if that ends with runs still
+    lost, so does the descent.
 
     Args:
         slope: Objective and constraints.
@@ -72,6 +75,9 @@ def descend(slope: Slope, v0: Float[np.ndarray, " names"], method: Method, steps
     """
     if isinstance(method, str):
         require(method in METHODS, f"Argument `method` must be one of {', '.join(METHODS)}, but is `{method}`.")
+    v0 = _keeping_runs(slope, v0, steps)
+    if slope.at(v0)[0][-1] > 0.0:
+        return
     if method == "slsqp":
         _by_slsqp(slope, v0, steps, tolerance)
     elif method == "bfgs" or isinstance(method, optx.AbstractMinimiser):
@@ -81,9 +87,26 @@ def descend(slope: Slope, v0: Float[np.ndarray, " names"], method: Method, steps
         _by_optax(slope, v0, optax.adam(0.1) if isinstance(method, str) else method, steps, tolerance)
 
 
+def _keeping_runs(slope: Slope, v0: np.ndarray, steps: int) -> np.ndarray:
+    """The first point down the loss of the lost runs at which none is lost, or the one at which they lose least."""
+
+    def is_enough(intermediate_result: optimize.OptimizeResult) -> None:
+        if intermediate_result.fun <= 0.0:
+            raise StopIteration
+
+    def loss(v: np.ndarray) -> tuple[float, np.ndarray]:
+        values, slopes = slope.at(v)
+        return float(values[-1]), slopes[-1]
+
+    if loss(v0)[0] <= 0.0:
+        return v0
+    bounds, options = [(0.0, 1.0)] * len(v0), {"maxiter": steps, "maxfun": 2 * steps}
+    found = optimize.minimize(loss, v0, jac=True, method="L-BFGS-B", bounds=bounds, callback=is_enough, options=options)
+    return np.clip(found.x, 0.0, 1.0)
+
+
 def _by_slsqp(slope: Slope, v0: np.ndarray, steps: int, tolerance: float) -> None:
-    """Sequential quadratic programming: constraints and bounds as they are."""
-    count = len(slope.batch.constraints)
+    """Sequential quadratic programming: constraints and bounds as they are, and no run lost."""
     constraints = {
         "type": "ineq",
         "fun": lambda v: -slope.at(v)[0][1:],
@@ -95,7 +118,7 @@ def _by_slsqp(slope: Slope, v0: np.ndarray, steps: int, tolerance: float) -> Non
         jac=lambda v: slope.at(v)[1][0],
         method="SLSQP",
         bounds=[(0.0, 1.0)] * len(v0),
-        constraints=[constraints] if count else [],
+        constraints=[constraints],
         options={"maxiter": steps, "ftol": tolerance},
     )
 

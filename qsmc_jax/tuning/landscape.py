@@ -27,8 +27,8 @@ class Landscape:
         grids: Their values.
         objectives: What was evaluated; the first is the objective.
         constraints: The constraints.
-        values: Each objective, (objectives, first, second).
-        is_feasible: Where every constraint is kept and every run's figures are known, (first, second).
+        values: Each objective, (objectives, first, second); infinite where some run has no figure.
+        is_feasible: Where every constraint is kept, and every run admissible with known figures, (first, second).
         marked: Each objective at the gains that were marked, by label.
 
     Examples:
@@ -152,7 +152,7 @@ def landscape(
     objectives = tuple(parse_objective(each) for each in (objective, against) if each is not None)
     constraints = tuple(map(parse_constraint, subject_to))
     box = box_of(study, names)
-    asked = (*(each <= 1.0 for each in objectives), *constraints)  # bounds of no meaning: all figures of one solve
+    asked = (*(each <= 0.0 for each in objectives), *constraints)  # their excess is their value: all of one solve
     batch = Batch(study, box, objectives[0], asked, runs, seed, settings or SolverSettings(), block, threads, 0, None)
     cells = [np.array([a, b]) for a in np.linspace(0, 1, points) for b in np.linspace(0, 1, points)]
     made = []
@@ -161,12 +161,12 @@ def landscape(
         if progress is not None:
             progress(number + 1, len(cells))
     count, shape = len(objectives), (points, points)
-    values = np.array([[1.0 + each.excess[i] for each in made] for i in range(count)]).reshape(count, *shape)
+    values = np.array([[each.excess[i] for each in made] for i in range(count)]).reshape(count, *shape)
     kept = [all(excess <= KEPT for excess in each.excess[count:]) and each.unknown == 0.0 for each in made]
     first = np.array([box.gains(np.array([a, 0.0]))[names[0]] for a in np.linspace(0, 1, points)])
     second = np.array([box.gains(np.array([0.0, b]))[names[1]] for b in np.linspace(0, 1, points)])
     is_feasible = np.array(kept).reshape(shape)
     marked = {}
     for label, gains in (mark or {}).items():
-        marked[label] = 1.0 + np.array(batch.evaluate(box.place(gains)).excess[:count])
+        marked[label] = np.array(batch.evaluate(box.place(gains)).excess[:count])
     return Landscape((names[0], names[1]), (first, second), objectives, constraints, values, is_feasible, marked)

@@ -1,86 +1,26 @@
 """What to make small, and what to keep: statistics over runs of a column of their table, to be added and compared.
 
 `cvar("peak_error[0]", 0.9) + 0.01 * mean("energy_u")` is an objective; `worst("peak_u") <= 20` is a constraint.
+
+A run whose figure is not known (an ideal loop that left the funnel, a solve that could not decide) is never passed
+over: every statistic over it is infinite, an objective upwards and a constraint beyond its bound. Only `violation <= p`
+counts such a run by a number: more than 1, by what it lost of its horizon.
 """
 
 import ast
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.base.checks import nearest, require
+from qsmc_jax.base.checks import require
+from qsmc_jax.tuning.rows import BEYOND, LOSS, mean_loss
+from qsmc_jax.tuning.terms import METRICS as METRICS
+from qsmc_jax.tuning.terms import Term
 
 _Kind = TypeVar("_Kind")
-Statistic: TypeAlias = Literal["mean", "cvar", "worst", "least"]
-
-# Columns with a derivative by the gains. Times and counts to the step, such as `settle_time`, have none.
-METRICS = (
-    "peak_ratio",
-    "margin",
-    "peak_u",
-    "reach_time",
-    "rms_error",
-    "energy_u",
-    "total_variation_u",
-    "recovery_time",
-    "peak_excess",
-    "excess_variation_u",
-    "high_frequency_ratio",
-    "peak_rate_u",
-)
-
-
-@dataclasses.dataclass(frozen=True)
-class Term:
-    """A statistic of one column times a weight.
-
-    Attributes:
-        statistic: "mean", "cvar" (mean of the worst part, the largest), "worst" (largest) or "least" (smallest).
-        metric: The column.
-        weight: What it is multiplied by.
-        level: Of "cvar": the part of the runs that is left out, in [0, 1).
-
-    Examples:
-        >>> import qsmc_jax as qj
-        >>> str(qj.objectives.Term("cvar", "peak_u", weight=2.0, level=0.9))
-        '2 * cvar(peak_u, 0.9)'
-    """
-
-    statistic: Statistic
-    metric: str
-    weight: float = 1.0
-    level: float = 0.0
-
-    def __post_init__(self):
-        is_known = self.metric in METRICS or self.metric.startswith("peak_error[")
-        if not is_known:
-            known = f"peak_error[i] or one of {', '.join(METRICS)}"
-            hint = nearest(self.metric, METRICS)
-            raise ValueError(f"Argument `metric` must be {known}, but is `{self.metric}`.{hint}")
-        require(bool(0.0 <= self.level < 1.0), f"Argument `level` must lie in [0, 1), but is {self.level}.")
-        require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
-
-    def evaluate(self, values: Float[np.ndarray, " runs"], smoothing: float) -> tuple[float, np.ndarray]:
-        """The weighted statistic of the known values, and its derivative by each.
-
-        Args:
-            values: The column; entries that are not finite are passed over.
-            smoothing: As for `Objective.evaluate`.
-        """
-        weights = np.zeros(len(values))
-        known = np.flatnonzero(np.isfinite(values))
-        if not len(known):
-            return np.nan, weights
-        value, weights[known] = _STATISTICS[self.statistic](values[known], self.level, smoothing)
-        return self.weight * value, self.weight * weights
-
-    def __str__(self) -> str:
-        level = f", {self.level:.12g}" if self.statistic == "cvar" else ""
-        weight = "" if self.weight == 1.0 else f"{self.weight:.12g} * "
-        return f"{weight}{self.statistic}({self.metric}{level})"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,9 +52,25 @@ class Objective:
         """Its value over the runs of a table, and its derivative by each entry of each column.
 
         Args:
-            columns: Columns by name; entries that are not finite are passed over.
+            columns: Columns by name; an entry that is not finite is a figure that is not known.
             smoothing: Width of the smooth maximum in place of `worst` and `least`, in units of the column's standard
                 deviation; 0 for the maximum itself.
+
+        Returns:
+            The value, infinite if a figure is not known in some run or there is no run; and the derivative of what is
+            known.
+        """
+        value, weights = self.among_known(columns, smoothing)
+        return value if self.is_known(columns) else np.inf, weights
+
+    def among_known(
+        self, columns: Mapping[str, Float[np.ndarray, " runs"]], smoothing: float = 0.0
+    ) -> tuple[float, dict[str, np.ndarray]]:
+        """The same over the entries that are known, a finite number for a descent to go by; 0 if there are none.
+
+        Args:
+            columns: As for `evaluate`.
+            smoothing: As for `evaluate`.
         """
         total, weights = 0.0, {metric: np.zeros(len(columns[metric])) for metric in self.metrics}
         for term in self.terms:
@@ -122,6 +78,14 @@ class Objective:
             total += value
             weights[term.metric] += slope
         return total, weights
+
+    def is_known(self, columns: Mapping[str, Float[np.ndarray, " runs"]]) -> bool:
+        """Whether there are runs, and every one of them has the figures that it needs.
+
+        Args:
+            columns: As for `evaluate`.
+        """
+        return all(columns[metric].size > 0 and bool(np.isfinite(columns[metric]).all()) for metric in self.metrics)
 
     def __add__(self, other: "Objective") -> "Objective":
         return Objective(self.terms + other.terms)
@@ -173,12 +137,60 @@ class Constraint:
         """How far it is passed, in units of the bound (of 1 for a bound of 0), and the derivative; fine if <= 0.
 
         Args:
-            columns: Columns by name.
+            columns: Columns by name; an entry that is not finite is a figure that is not known.
+            smoothing: As for `Objective.evaluate`.
+
+        Returns:
+            The excess, infinite if a figure is not known in some run, but for `violation`, which counts such runs; and
+            the derivative of what is known.
+        """
+        if self.bounds_violation:
+            return self._violation(columns, smoothing)
+        excess, weights = self._scaled(*self.objective.among_known(columns, smoothing))
+        return excess if self.objective.is_known(columns) else np.inf, weights
+
+    def lead(self, columns: Mapping[str, np.ndarray], smoothing: float = 0.0) -> tuple[float, dict[str, np.ndarray]]:
+        """The same for a descent: finite, and where a figure is not known positive, with what leads back to known ones.
+
+        Args:
+            columns: Columns by name; `LOSS`, if it is among them, as `counted` has it.
             smoothing: As for `Objective.evaluate`.
         """
-        value, weights = self.objective.evaluate(columns, smoothing)
+        excess, weights = self.excess(columns, smoothing)
+        if np.isfinite(excess):
+            return excess, weights
+        excess, _ = self._scaled(*self.objective.among_known(columns, smoothing))
+        loss, by_loss = mean_loss(columns, self.objective.metrics)
+        known = weights if excess > 0.0 else {}
+        return max(excess, 0.0) + loss, {**known, **by_loss}
+
+    @property
+    def bounds_violation(self) -> bool:
+        """Whether it is `violation <= p`, or the worst of `peak_ratio` against 1, which is the same for every p."""
+        only = self.objective.terms[0]
+        is_peak = only.metric == "peak_ratio" and only.weight == 1.0 and only.statistic in ("cvar", "worst")
+        return len(self.objective.terms) == 1 and is_peak and self.bound == 1.0 and self.side > 0
+
+    @property
+    def implies_funnel(self) -> bool:
+        """Whether a run within the bound has stayed in its funnel."""
+        level = {"peak_ratio": self.bound <= 1.0, "margin": self.bound >= 0.0, "peak_excess": self.bound <= 0.0}
+        return self.per_run is not None and level.get(self.per_run, False)
+
+    def _scaled(self, value: float, weights: dict[str, np.ndarray]) -> tuple[float, dict[str, np.ndarray]]:
         scale = self.side / (abs(self.bound) or 1.0)
         return scale * (value - self.bound), {metric: scale * weight for metric, weight in weights.items()}
+
+    def _violation(self, columns: Mapping[str, np.ndarray], smoothing: float) -> tuple[float, dict[str, np.ndarray]]:
+        """Every run that left counts as clearly beyond 1, and the more of its horizon it lost the further beyond."""
+        peak = columns["peak_ratio"]
+        is_lost, loss = ~np.isfinite(peak), np.maximum(columns.get(LOSS, 0.0), BEYOND)
+        counted = np.where(is_lost, 1.0 + loss, peak + np.where(peak >= 1.0, BEYOND, 0.0))
+        if not counted.size:
+            return np.inf, {"peak_ratio": counted}
+        value, weights = self._scaled(*self.objective.among_known({"peak_ratio": counted}, smoothing))
+        weight = weights["peak_ratio"]
+        return value, {"peak_ratio": np.where(is_lost, 0.0, weight), LOSS: np.where(is_lost, weight, 0.0)}
 
     @property
     def per_run(self) -> str | None:
@@ -262,8 +274,9 @@ def least(metric: str) -> Objective:
 def violation(probability: float | int) -> Constraint:
     r"""A constraint that implies a probability of at most `probability` of leaving the funnel, over the training runs.
 
-    Over the runs whose figures are known, $\mathrm{CVaR}_{1-p}(\sup|\sigma|/\rho) \le 1$ implies
-    $P(\sup|\sigma|/\rho > 1) \le p$, and has a derivative.
+    $\mathrm{CVaR}_{1-p}(\sup|\sigma|/\rho) \le 1$ implies $P(\sup|\sigma|/\rho \ge 1) \le p$, and has a derivative. A
+    run that left counts as 0.01 beyond its peak; one that ended there, or could not be decided, as 1.01 and the part of
+    its horizon that it lost, so that leaving later is better, and every run that held is better still.
 
     Args:
         probability: What it may be at most, above 0.
@@ -352,38 +365,3 @@ def _read(node: ast.AST) -> Any:
         case ast.Compare(left=left, ops=[ast.GtE()], comparators=[bound]):
             return _read(left) >= _read(bound)
     raise TypeError
-
-
-def _mean(values: np.ndarray, level: float, smoothing: float) -> tuple[float, np.ndarray]:
-    return float(values.mean()), np.full(len(values), 1.0 / len(values))
-
-
-def _cvar(values: np.ndarray, level: float, smoothing: float) -> tuple[float, np.ndarray]:
-    """The largest get weight 1 / ((1 - level) N) each, the last of them what is left."""
-    each = 1.0 / ((1.0 - level) * len(values))
-    before = each * np.arange(len(values))
-    weights = np.empty(len(values))
-    weights[np.argsort(-values, kind="stable")] = np.clip(1.0 - before, 0.0, each)
-    return float(weights @ values), weights
-
-
-def _worst(values: np.ndarray, level: float, smoothing: float) -> tuple[float, np.ndarray]:
-    """The maximum, or the logarithm of the sum of exponentials, which is above it."""
-    width = smoothing * float(values.std())
-    top = float(values.max())
-    if width == 0.0:
-        return top, np.eye(len(values))[int(values.argmax())]
-    powers = np.exp((values - top) / width)
-    weights, logarithm = powers / powers.sum(), float(np.log(powers.sum()))
-    # The width is made of the values too.
-    by_width = logarithm - float(weights @ (values - top)) / width
-    width_by_values = smoothing * (values - values.mean()) / (len(values) * values.std())
-    return top + width * logarithm, weights + by_width * width_by_values
-
-
-def _least(values: np.ndarray, level: float, smoothing: float) -> tuple[float, np.ndarray]:
-    value, weights = _worst(-values, level, smoothing)
-    return -value, weights
-
-
-_STATISTICS = {"mean": _mean, "cvar": _cvar, "worst": _worst, "least": _least}

@@ -83,9 +83,11 @@ class Tuning:
 
     def conclusion(self) -> str:
         """What is claimed, in a sentence or two that can be quoted."""
-        change = 100.0 * (self.best.objective / self.before.objective - 1.0) if self.before.objective else np.nan
+        was = self.before.objective
+        change = 100.0 * (self.best.objective / was - 1.0) if was and np.isfinite(was) else np.nan
+        changed = f"{change:+.3g} %" if np.isfinite(was) else "it was not known before"
         gains = ", ".join(f"{name} = {value:.6g}" for name, value in self.gains.items())
-        found = f"{gains}: {self.objective} is {self.best.objective:.6g} on {self.runs} training runs ({change:+.3g} %)"
+        found = f"{gains}: {self.objective} is {self.best.objective:.6g} on {self.runs} training runs ({changed})"
         if self.certificate is None:
             return f"TUNED, NOT CERTIFIED: {found}. Training runs are no guarantee: verify with fresh ones."
         failure = max(each.high for each in self.certificate.guarantees)
@@ -103,7 +105,7 @@ class Tuning:
         columns["objective"] = np.array([row.objective for row in rows])
         for i, constraint in enumerate(self.constraints):
             columns[f"excess of {constraint}"] = np.array([row.excess[i] for row in rows])
-        for name in ("unknown", "spent", "start", "attempt"):
+        for name in ("lost", "unknown", "inadmissible", "spent", "start", "attempt"):
             columns[name] = np.array([getattr(row, name) for row in rows])
         return columns
 
@@ -159,6 +161,9 @@ class Tuning:
                 f"{'kept' if e.excess[i] <= KEPT else 'passed'} {e.excess[i]:+.2g}" for e in (self.before, self.best)
             ]
             rows.append(f"{str(constraint)[:31]:32}{ends[0]:>14}{ends[1]:>14}")
+        if self.before.lost > 0.0 or self.best.lost > 0.0:
+            ends = [f"{100.0 * each.lost:.3g} %" for each in (self.before, self.best)]
+            rows.append(f"{'left the funnel, or undecided':32}{ends[0]:>14}{ends[1]:>14}")
         rows += [
             "Derivatives at the tuned gains, percent by percent:",
             f"{'':32}" + "".join(f"{n:>14}" for n in self.parameters),

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from qsmc_jax.base.checks import require
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
 from qsmc_jax.base.scales import spans_decade
 
@@ -49,8 +50,9 @@ def _draw_objective(ax: Any, result: "Tuning", spent: np.ndarray, is_kept: np.nd
     ax.plot(spent[~is_kept], values[~is_kept], "x", color=RED, ms=5, label="a constraint passed")
     best = np.minimum.accumulate(np.where(is_kept, values, np.inf))
     ax.step(spent, np.where(np.isfinite(best), best, np.nan), where="post", color=GREEN, label="best so far")
-    ax.axhline(result.before.objective, color=GREY, lw=0.8, label="the study's own gains")
-    if result.certificate is not None:
+    if np.isfinite(result.before.objective):
+        ax.axhline(result.before.objective, color=GREY, lw=0.8, label="the study's own gains")
+    if result.certificate is not None and np.isfinite(result.certificate.objective):
         ax.axhline(result.certificate.objective, color=ORANGE, ls="--", label="tuned gains on fresh runs")
     ax.set(ylabel=str(result.objective), yscale="log" if (values[np.isfinite(values)] > 0.0).all() else "linear")
     ax.legend(fontsize=8)
@@ -87,6 +89,7 @@ def plot_contour(made: "Landscape", tuned: "Tuning | None", ax: Any = None) -> A
     x, y = made.grids
     values = made.values[0].T
     finite = values[np.isfinite(values)]
+    require(finite.size > 0, "There is nothing to draw: the objective is known in no cell of the landscape.")
     is_wide = spans_decade(finite.min(), finite.max())
     levels = np.geomspace(finite.min(), finite.max(), 25) if is_wide else np.linspace(finite.min(), finite.max(), 25)
     norm = "log" if is_wide else "linear"
@@ -128,7 +131,8 @@ def plot_pareto(made: "Landscape", ax: Any = None) -> Any:
     for (label, point), colour, mark in zip(made.marked.items(), (ORANGE, GREEN), ("D", "*"), strict=False):
         ax.plot(*point[:2], mark, color=colour, ms=12, mec="black", label=label)
     for axis, values in (("x", points[0]), ("y", points[1])):
-        if spans_decade(np.nanmin(values), np.nanmax(values)):
+        known = values[np.isfinite(values)]
+        if known.size and spans_decade(known.min(), known.max()):
             ax.set(**{f"{axis}scale": "log"})
     ax.set(xlabel=str(made.objectives[0]), ylabel=str(made.objectives[1]))
     ax.legend(fontsize=8)

@@ -38,23 +38,30 @@ def refuse_jumps(study: Study) -> None:
 def check_start(batch: Batch, v: Float[np.ndarray, " names"]) -> Evaluation:
     """The training runs at the start, where the gradient is compared with a central difference along it.
 
+    Where runs are lost the objective is not known, and nothing is compared: a search has to leave such gains first.
+
     Raises:
-        ValueError: The objective or a constraint is not known there, or gradient and difference disagree.
+        ValueError: The objective is known in no run, though none is lost, or gradient and difference disagree.
     """
-    made, values, slopes = batch.differentiate(v, 0.0, -1)
+    made, _, slopes = batch.differentiate(v, 0.0, -1)
     require(
-        bool(np.isfinite(values).all()),
+        made.unknown < 1.0 or made.lost > 0.0,
         f"The objective at the start must be finite, but is {made.objective:g} (constraints {made.excess}); a figure "
         f"is not known in {100 * made.unknown:.3g} % of the runs. Start elsewhere (`study.substitute`), or choose "
         "figures that are known: those of the steady phase need a horizon beyond the reaching time.",
     )
+    if not np.isfinite(made.objective):
+        return made
     size = float(np.linalg.norm(slopes[0]))
     direction = slopes[0] / size if size > 0.0 else np.full(len(v), len(v) ** -0.5)
     rounding, found = _ROUNDING * abs(made.objective), []
     for step in _STEPS:
         ahead, behind = (np.clip(v + sign * step * direction, 0.0, 1.0) for sign in (1.0, -1.0))
         length = float((ahead - behind) @ direction)
-        along = (batch.evaluate(ahead).objective - batch.evaluate(behind).objective) / length
+        ends = [batch.evaluate(end).objective for end in (ahead, behind)]
+        if not np.isfinite(ends).all():  # runs are lost that near: no difference is to be had
+            return made
+        along = (ends[0] - ends[1]) / length
         slope = float(slopes[0] @ (ahead - behind)) / length
         found.append(along)
         if abs(along - slope) <= _APART * max(abs(along), abs(slope)) + rounding:

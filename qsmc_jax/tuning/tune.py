@@ -24,6 +24,8 @@ from qsmc_jax.tuning.trust import check_start, refuse_jumps
 _EXACT, _ANNEALED = (0.0,), (0.2, 0.0)
 # A design that is not certified is followed by one whose bounds are this part of its own.
 _TIGHTER = 0.9
+# Points to be tried besides where every start loses runs: leaving later is not always on the way to not leaving.
+_WIDER = 16
 
 
 def tune(
@@ -55,6 +57,9 @@ def tune(
     descended from, and the best feasible point met on the way of each descent becomes a candidate. Fresh runs, of a
     seed that training never saw, certify the candidates; if all fail, everything is done again with new training runs
     and constraints a tenth tighter, and with less of the risk that all designs share.
+
+    Gains are feasible only if every admissible run has the figures that the objective needs: a run that left an ideal
+    loop's funnel, or could not be decided, has none. Such runs lead the search by how soon they left, not by nothing.
 
     Tune a loop as it is implemented: on the ideal one a narrower funnel costs nothing, and rho_inf runs to its bound.
     Figures of the steady phase start at t_r, which moves with the gains: bound `reach_time` if you use them.
@@ -117,7 +122,7 @@ def tune(
     batch = Batch(study, box, objective, constraints, runs, seed, settings, block, threads, 0, tell)
     _check_metrics(batch)
     before = check_start(batch, box.point(study))
-    batch.allowed = before.unknown
+    batch.allowed = before.inadmissible
     best, chosen, certificates = _designed(batch, search, claim, progress)
     sensitivity = _sensitivity(batch, best)
     found = (before, best, tuple(batch.history), certificates, chosen, sensitivity)
@@ -211,7 +216,10 @@ def _candidates(batch: Batch, search: Search) -> list[Evaluation]:
     """The best feasible point of each descent, the best first."""
     points = _starts(batch, search.starts)
     tried = [batch.evaluate(v) for v in points]
-    order = sorted(range(search.starts), key=lambda i: tried[i].merit)
+    if all(each.lost > 0.0 for each in tried):
+        wider = _starts(batch, search.starts + _WIDER)[search.starts :]
+        points, tried = points + wider, tried + [batch.evaluate(v) for v in wider]
+    order = sorted(range(len(points)), key=lambda i: tried[i].merit)[: search.starts]
     first, others = order[: search.descents], order[search.descents :]
     found = [_descended(batch, search, points[i], tried[i], i, _EXACT) for i in first]
     widths = _ANNEALED if _has_maximum(batch) else _EXACT
@@ -230,7 +238,7 @@ def _descended(
     batch: Batch, search: Search, v: np.ndarray, first: Evaluation, number: int, widths: Sequence[float]
 ) -> Evaluation:
     """The best point of one descent, its start included."""
-    scale = abs(first.objective) if np.isfinite(first.objective) and first.objective else 1.0
+    scale = abs(first.objective) if np.isfinite(first.objective) else 0.0
     since, best = len(batch.history), first
     for width in widths:
         descend(Slope(batch, width, number, scale), v, search.method, search.steps, search.tolerance)
@@ -251,15 +259,19 @@ def _infeasible(batch: Batch, nearest: Evaluation) -> str:
     """Which constraints fail at the point that lacks least, and by how much."""
     gains = ", ".join(f"{name} = {value:.4g}" for name, value in nearest.gains.items())
     lacks = [
-        f"`{constraint}` by {100 * lack:.3g} % of its bound"
+        f"`{constraint}` by {100 * lack:.3g} % of its bound" if np.isfinite(lack) else f"`{constraint}`"
         for constraint, lack in zip(batch.constraints, nearest.lacks, strict=True)
         if not lack <= KEPT
     ]
-    if nearest.unknown > nearest.allowed:
+    if nearest.inadmissible > nearest.allowed:
         lacks.append(
-            f"to have figures in all but {100 * nearest.allowed:.3g} % of the runs ({100 * nearest.unknown:.3g} %)"
+            f"to admit all but {100 * nearest.allowed:.3g} % of the runs ({100 * nearest.inadmissible:.3g} % are not)"
         )
-    reason = f"fails {' and '.join(lacks)}" if lacks else "has an objective that is not known"
+    reason = f"fails {' and '.join(lacks)}" if lacks else "keeps the constraints"
+    if not np.isfinite(nearest.objective):
+        reason += f", and its objective is not known in {100 * nearest.unknown:.3g} % of the runs"
+    if nearest.lost > 0.0:
+        reason += f": {100 * nearest.lost:.3g} % left the funnel or could not be decided"
     return (
         f"No gains within the bounds were found that keep the constraints: the nearest, {gains}, {reason}. Loosen it, "
         "widen the bounds, or allow more `starts`."
@@ -290,6 +302,7 @@ def _sensitivity(batch: Batch, best: Evaluation) -> np.ndarray:
     bounds = np.array([constraint.bound for constraint in constraints])
     sides = np.array([constraint.side for constraint in constraints])
     scales = np.abs(np.where(bounds == 0.0, 1.0, bounds)) if len(bounds) else np.empty(0)
+    values, slopes = values[:-1], slopes[:-1]
     figures = np.array([values[0], *(bounds + sides * scales * values[1:])])
     by_gain = slopes / batch.box.slopes(v) * np.array([1.0, *(sides * scales)])[:, None]
     x = np.array([made.gains[name] for name in batch.box.names])

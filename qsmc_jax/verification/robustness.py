@@ -66,7 +66,8 @@ class RobustnessMap:
         names: The names that were swept, one or two.
         grids: Their values.
         claims: "funnel", "reaching" and "tracking".
-        medians: Medians of some figures over the runs of a cell in which they are known; NaN where in none.
+        medians: Medians of some figures over the runs of a cell, in which a run that left the funnel or could not be
+            decided and has no figure counts as infinite; NaN where no run has one.
         runs: Runs of each cell, the same ones in all.
         seed: Their seed.
         confidence: That all intervals of one claim hold together.
@@ -258,7 +259,7 @@ def robustness_map(
             for name, column in zip(CLAIM_NAMES, CLAIMS, strict=True)
         },
         medians={
-            name: np.array([_median(table[name]) for table in tables]).reshape(shape)
+            name: np.array([_median(table, name) for table in tables]).reshape(shape)
             for name in METRICS
             if name in tables[0]
         },
@@ -302,9 +303,12 @@ def _claim_map(tables: list[Runs], column: str, shape: tuple[int, ...], confiden
     return ClaimMap(held, violated, undecided, of(Verdict.INADMISSIBLE), low, high)
 
 
-def _median(values: np.ndarray) -> float:
-    known = values[~np.isnan(values)]
-    return float(np.median(known)) if known.size else float("nan")
+def _median(table: Runs, name: str) -> float:
+    """The median of a figure of which more is worse; a run that is lost has more than any other."""
+    values = table[name]
+    is_lost = np.isnan(values) & np.isin(table["verdict"], (Verdict.VIOLATED, Verdict.UNDECIDED))
+    known = np.where(is_lost, np.inf, values)[is_lost | ~np.isnan(values)]
+    return float("nan") if np.isinf(known).all() else float(np.median(known))
 
 
 def _lists(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -324,12 +328,13 @@ def _picture(found: RobustnessMap) -> Iterator[str]:
     """A character a cell, the second name upwards."""
     funnel = found.funnel
     (x, y), (xs, ys) = found.names, found.grids
-    clean = funnel.violated == 0
-    conditions = [funnel.total == 0, funnel.estimate >= 0.5, ~clean, funnel.undecided > 0]
+    clean = (funnel.violated == 0) & (funnel.undecided == 0) & (funnel.total > 0)
+    conditions = [funnel.total == 0, funnel.estimate >= 0.5, funnel.violated > 0, funnel.undecided > 0]
     marks = np.select(conditions, [" ", "#", "+", "?"], ".")
     yield f"`{x}` to the right, {xs[0]:.6g} to {xs[-1]:.6g}; `{y}` upwards, {ys[0]:.6g} to {ys[-1]:.6g}"
     for j in reversed(range(len(ys))):
         yield f"{ys[j]:14.6g}  {''.join(marks[:, j])}"
     yield "'.' no run violated, '+' less than half, '#' half or more, '?' none but some undecided, ' ' none admissible"
     least = float(funnel.high[clean].min()) if clean.any() else float("nan")
-    yield f"Of {marks.size} cells {int(clean.sum())} have no violation; the best of them lies below {least:.3g}."
+    sound = f"{int(clean.sum())} have runs, none of them violated or undecided"
+    yield f"Of {marks.size} cells {sound}; the best of them lies below {least:.3g}."
