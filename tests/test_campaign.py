@@ -70,7 +70,8 @@ def test_rows_and_verdict_are_those_of_verify(tmp_path, plain):
     assert found.claims == plain[0].claims
     assert found.verdict == plain[0].verdict
     require_equal(found.worst, plain[0].worst)
-    assert found.climbed == plain[0].climbed
+    assert found.escalated == plain[0].escalated
+    assert found.numerical_error == plain[0].numerical_error
 
 
 def test_an_interrupted_campaign_goes_on_where_it_stopped(tmp_path, plain, monkeypatch):

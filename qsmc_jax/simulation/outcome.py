@@ -22,6 +22,7 @@ class Verdict(enum.IntEnum):
     INADMISSIBLE = 3
 
 
+@enum.unique
 class Outcome(enum.IntEnum):
     """How the solve of one run ended; `advice` says what to do about it.
 
@@ -41,6 +42,7 @@ class Outcome(enum.IntEnum):
     BEYOND_RESOLUTION = 6
     LOST = 7
     QUEUE_FULL = 8
+    SOLVES_DISAGREE = 9
 
     @property
     def advice(self) -> str:
@@ -65,4 +67,6 @@ _ADVICE = {
     "faster, or allow more input.",
     Outcome.QUEUE_FULL: "The delay is longer than the samples that can be under way: raise `queue` of the "
     "`Implementation` above the delay over the period.",
+    Outcome.SOLVES_DISAGREE: "One solve says that the run held and another that it was violated, and no two "
+    "independent ones agree: lower `rtol`, and look for something short in time.",
 }

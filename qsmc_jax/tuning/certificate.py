@@ -119,7 +119,7 @@ def certify(
     threads: int | None,
     progress: Progress | None,
 ) -> list[Certificate]:
-    """Tries candidates on fresh runs, the same for all; doubtful runs climb the ladder as in `verify`.
+    """Tries candidates on fresh runs, the same for all; doubtful runs are solved again as in `verify`.
 
     Args:
         study: The study.
@@ -158,10 +158,10 @@ def certify(
 
 
 def _kept(constraint: Constraint, table: Runs, confidence: float) -> Guarantee:
-    """How often a single run passes the bound; a run whose figure is not known is undecided."""
+    """How often a single run passes the bound; a run without a verdict, or whose figure is not known, is undecided."""
     metric = str(constraint.per_run)
     values, sign = table[metric], "<=" if constraint.side > 0 else ">="
-    is_unknown = np.isnan(values)
+    is_unknown = np.isnan(values) | (table["verdict"] == Verdict.UNDECIDED)
     passes = constraint.side * (values - constraint.bound) > 0.0
     return _counted(f"{metric} {sign} {constraint.bound:g}", passes & ~is_unknown, is_unknown, confidence)
 
