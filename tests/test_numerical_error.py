@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.stats
 
 import qsmc_jax as qj
+from qsmc_jax.cli.verify_command import _tell
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.verification.evidence import Effort, Evidence
 from qsmc_jax.verification.numerical_error import SAMPLE, Sample, recheck
@@ -29,6 +31,8 @@ def rows(verdicts, **columns):
         "peak_u": np.ones(len(index)),
         "peak_u_bound": np.full(len(index), np.nan),
         "least_gain": np.ones(len(index)),
+        "largest_disturbance": np.ones(len(index)),
+        "violation_time": np.where(verdicts == V, 1.0, np.inf),
         "reach_time": np.ones(len(index)),
         "steps": np.full(len(index), 100),
         "rung": np.zeros(len(index), int),
@@ -131,6 +135,12 @@ def test_the_metrics_that_changed_most_are_said_and_those_that_jump_come_last():
     assert "energy_u 20 %, peak_time 75 % (jumps" in str(error)
 
 
+def test_the_peak_of_a_run_far_outside_is_compared_with_itself():
+    peaks = np.array([0.25, 4e6]), np.array([0.5, 3e6])
+    before, after = (rows([H, V], peak_ratio=peak) for peak in peaks)
+    assert recheck(before, solving(after), RUNGS)[0].peak_ratio == 0.25
+
+
 def test_the_numbers_of_a_run_whose_verdict_changed_are_not_compared():
     after = rows([H, V], peak_ratio=np.array([0.5, 1.0]))
     error = recheck(rows([H, H]), solving(after), RUNGS)[0]
@@ -214,6 +224,22 @@ def test_a_stopping_rule_that_the_check_doubts_says_so():
     assert sure.decision == decision
     assert doubted.decision == f"{decision}, by verdicts that the check doubts"
     assert doubted.claims[0].high > 0.05
+
+
+def test_the_command_that_shows_a_run_has_the_settings_that_decided_it(capsys):
+    before = rows([H, V, H], rung=np.array([0, 1, 2]))
+    _tell(conclude(before, before), Path("study.py"), ["qsmc", "simulate", "study.py", "--index"], None, {}, False)
+    shown = [line.partition("--index ")[2] for line in capsys.readouterr().out.splitlines() if "--index" in line]
+    assert sorted(shown) == ["0", "1 --rtol 1e-08", "2 --rtol 1e-08 --max-steps 1000000 --method other"]
+
+
+def test_the_command_verifies_all_runs_by_the_solve_that_disagrees(capsys):
+    found = conclude(rows([H] * 3), rows([V, H, H]))
+    _tell(found, Path("my study.py"), ["qsmc", "show", "run", "--run"], Path("run"), {}, False)
+    printed = capsys.readouterr().out
+    assert (
+        "qsmc verify 'my study.py' --runs 3 --seed 0 --confidence 0.95 --rtol 1e-08 --max-steps 1000000 --method other"
+    ) in " ".join(printed.split())
 
 
 def test_the_summary_is_plain():

@@ -76,7 +76,7 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         tried = [_solved(recipe, row, rungs.settings[rung]) for rung in range(RUNGS)]
         verdicts = [int(run.figures.verdict) for run in tried]
         shown = verdicts.index(Verdict.VIOLATED) if Verdict.VIOLATED in verdicts else 0
-        return Replay(tried[shown], row, bool(agreed(np.array(verdicts)[:, None])[0] == Verdict.UNDECIDED))
+        return Replay(tried[shown], row, bool(agreed([np.array([each]) for each in verdicts])[0] == Verdict.UNDECIDED))
     run = _solved(recipe, row, rungs.settings[int(row["rung"])])
     close = 1e-9 + _AGREEMENT * float(recipe.settings.rtol)
     is_near = np.isclose(float(run.figures.peak_ratio), row["peak_ratio"], rtol=close, equal_nan=True)

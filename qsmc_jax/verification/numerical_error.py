@@ -46,7 +46,7 @@ class NumericalError:
 
     Attributes:
         checked: Runs that were: a random sample of all decided ones, and the worst.
-        peak_ratio: Largest change of sup |sigma|/rho; NaN if no run was checked.
+        peak_ratio: Largest change of sup |sigma|/rho, relative to it where it is above 1; NaN if no run was checked.
         changed: Runs whose verdict on any claim changed.
         unchecked: Runs that could not be: solved again, some claim came to no verdict.
         metrics: Largest change of each metric, by its name, over the runs whose funnel verdict did not change.
@@ -139,13 +139,13 @@ def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, tup
     was, now = np.array([before[claim] for claim in CLAIMS]), said(after)
     is_changed = _changed(was, now)
     is_known = is_changed.any(axis=0) | ~((was != Verdict.UNDECIDED) & (now == Verdict.UNDECIDED)).any(axis=0)
-    metrics = _metrics(before, after, was[0] == now[0])
+    is_same = was[0] == now[0]
     error = NumericalError(
         checked=int(is_known.sum()),
-        peak_ratio=metrics["peak_ratio"].absolute if is_known.any() else math.nan,
+        peak_ratio=_peak_change(before, after, is_same) if is_known.any() else math.nan,
         changed=int(is_changed.any(axis=0).sum()),
         unchecked=int((~is_known).sum()),
-        metrics=metrics,
+        metrics=_metrics(before, after, is_same),
     )
     return error, tuple(_claim_check(*claim) for claim in zip(was, now, is_changed, strict=True))
 
@@ -164,6 +164,13 @@ def _metrics(before: Runs, after: Runs, is_same: Bool[np.ndarray, " rows"]) -> d
     """The largest change of every column that is a metric, over the given rows."""
     names = [name for name in before if name not in (*_NO_METRICS, *before.names) and name in after]
     return {name: _change(before[name][is_same], after[name][is_same]) for name in names}
+
+
+def _peak_change(before: Runs, after: Runs, is_same: Bool[np.ndarray, " rows"]) -> float:
+    """The largest change of sup |sigma|/rho, in units of the funnel's width inside it."""
+    first, second = before["peak_ratio"][is_same], after["peak_ratio"][is_same]
+    unit = np.fmax(1.0, np.fmax(first, second))
+    return _change(first / unit, second / unit).absolute
 
 
 def _change(before: np.ndarray, after: np.ndarray) -> Change:
