@@ -137,6 +137,19 @@ def test_a_claim_in_conflict_is_undecided_alone():
     assert np.isfinite(rows["peak_ratio"][0])
 
 
+def test_two_solves_by_one_method_do_not_outvote_another_method():
+    rows, *_ = decide(["VHV"] * 3, reaching=["HHV", "VVH", "VHV"], tracking=["VUV"] * 3)
+    assert rows["verdict"].tolist() == [1, 1, 1]
+    assert rows["verdict_reaching"].tolist() == [2, 2, 1]
+    assert rows["verdict_tracking"].tolist() == [1, 1, 1]
+
+
+def test_the_figures_are_of_the_last_solve_that_says_what_was_decided_of_the_funnel():
+    rows, *_ = decide(["HHU"], reaching=["VHU"], tracking=["HHU"])
+    assert [int(rows[claim][0]) for claim in CLAIMS] == [0, 2, 0]
+    assert rows["rung"][0] == 1
+
+
 def test_a_single_violated_later_claim_does_not_confirm_itself():
     rows, *_ = decide(["HHH"], reaching=["VUU"], tracking=["VVU"])
     assert [int(rows[claim][0]) for claim in CLAIMS] == [0, 2, 1]
