@@ -8,6 +8,8 @@ import pytest
 import qsmc_jax as qj
 from qsmc_jax.simulation.stiffness import method_for
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.tuning.certificate import certify
+from qsmc_jax.tuning.objectives import parse_constraint, parse_objective
 from qsmc_jax.verification.decided import through
 from qsmc_jax.verification.escalation import Escalation
 from qsmc_jax.verification.rungs import Rungs
@@ -218,3 +220,40 @@ def test_every_solve_of_a_sampled_loop_is_firmer_than_the_one_before():
     assert {each.method for each in rungs.settings} == {"auto"}
     # The check of most runs is the program that solved them: nothing is compiled for it.
     assert "block" not in rungs.options(1)
+
+
+def disputing(study, indices, seed, *, settings, block, threads, progress=None):
+    """Stands for `stream`: every run is violated, then held, and then not decided."""
+    rungs = Rungs.of(study, qj.SolverSettings()).settings
+    rung = next(k for k, each in enumerate(rungs) if (each.choices, each.rtol) == (settings.choices, settings.rtol))
+    count = len(indices)
+    figures = {"margin": np.full(count, 0.5), "energy_u": np.full(count, 3.0)}
+    yield table(indices, rung, ["VHU"[rung] * count] * 3, **figures)
+
+
+def counted_by_certify():
+    options = {"runs": 64, "seed": 1, "risk": 0.1, "confidence": 0.9, "settings": qj.SolverSettings(), "block": 64}
+    objective, constraint = parse_objective("mean(energy_u)"), parse_constraint("worst(peak_u) <= 5")
+    found = certify(coin, [({}, 0.0)], objective, (constraint,), **options, threads=1, progress=None)
+    return [(each.failed, each.undecided) for each in found[0].guarantees]
+
+
+def counted_by_map():
+    funnel = qj.robustness_map(coin, {"p": [0.1, 0.2]}, runs=64, block=64).funnel
+    return list(zip(funnel.violated.tolist(), funnel.undecided.tolist(), strict=True))
+
+
+COUNTS = {
+    "map": counted_by_map,
+    "compare": lambda: [(s.violated, s.undecided) for s in qj.compare({"a": coin, "b": coin}, 64, block=64).studies],
+    "critical": lambda: [
+        (test.violated, test.undecided - test.runs + 64) for test in qj.critical_value(coin, "p", 0.4, block=64).tests
+    ],
+    "certificate": counted_by_certify,
+}
+
+
+@pytest.mark.parametrize("count", COUNTS.values(), ids=COUNTS)
+def test_whoever_counts_verdicts_counts_a_disputed_run_as_undecided(count, monkeypatch):
+    monkeypatch.setattr("qsmc_jax.verification.decided.stream", disputing)
+    assert count() == [(0, 64), (0, 64)]

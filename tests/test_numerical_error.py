@@ -239,6 +239,7 @@ def test_the_command_verifies_all_runs_by_the_solve_that_disagrees(capsys):
     printed = capsys.readouterr().out
     assert (
         "qsmc verify 'my study.py' --runs 3 --seed 0 --confidence 0.95 --rtol 1e-08 --max-steps 1000000 --method other"
+        " --out run-firmer"
     ) in " ".join(printed.split())
 
 

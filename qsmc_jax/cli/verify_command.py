@@ -202,6 +202,7 @@ def _tell(
         return
     values = {name: value.tolist() for name, value in result.study.values.items()}
     firmer = verify_command(str(study_file), result.runs, result.seed, result.confidence, values, result.firmer)
+    firmer += ["--out", f"{out}-firmer"] if out else []
     rows = [result.worst.row(i) for i in range(len(result.worst))]
     # A run folder knows the settings of its runs; whoever solves one without it must be told.
     options = [[] if out else solver_options(result.settings_of(row)) for row in rows]
