@@ -35,19 +35,19 @@ def table(start, stop):
 
 
 def test_a_block_comes_back_as_it_was_written(tmp_path):
-    file = write_block(tmp_path, table(5, 900), {"climbed": [1, 0], "defects": [7]}, study.specs)
+    file = write_block(tmp_path, table(5, 900), {"escalated": [1, 0], "defects": [7]}, study.specs)
     assert (file.start, file.stop, file.is_sound) == (5, 900, True)
     assert block_files(tmp_path) == [file]
     read = file.read()
     assert read.names == ("d",)
     for name in read:
         np.testing.assert_array_equal(read[name], table(5, 900)[name])
-    assert file.about()["climbed"] == [1, 0]
+    assert file.about()["escalated"] == [1, 0]
     assert file.about()["defects"] == [7]
 
 
 def test_equal_rows_have_equal_names(tmp_path):
-    files = [write_block(tmp_path, table(0, 100), {"climbed": [0, 0]}, study.specs) for _ in range(2)]
+    files = [write_block(tmp_path, table(0, 100), {"escalated": [0, 0]}, study.specs) for _ in range(2)]
     assert files[0] == files[1]
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -1,8 +1,10 @@
 """Campaigns: the rows of an uninterrupted verification, however they came about."""
 
 import json
+import sys
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.campaign.replay import replay
 from qsmc_jax.campaign.status import status_of
+from qsmc_jax.simulation.trajectory import Trajectory
 from qsmc_jax.study.runs import concatenate
+from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import UntilBelow
 from tests.studies_for_tests import study
 
@@ -70,7 +74,8 @@ def test_rows_and_verdict_are_those_of_verify(tmp_path, plain):
     assert found.claims == plain[0].claims
     assert found.verdict == plain[0].verdict
     require_equal(found.worst, plain[0].worst)
-    assert found.climbed == plain[0].climbed
+    assert found.escalated == plain[0].escalated
+    assert found.numerical_error == plain[0].numerical_error
 
 
 def test_an_interrupted_campaign_goes_on_where_it_stopped(tmp_path, plain, monkeypatch):
@@ -237,6 +242,42 @@ def test_replay_holds_a_run_against_its_row(tmp_path):
     for index, worst, message in [(None, None, "One of"), (RUNS, None, "no row 320"), (None, 10**6, "fewer rows")]:
         with pytest.raises(ValueError, match=message):
             replay(folder, RECIPE, index, worst)
+
+
+def replayed(monkeypatch, row, verdicts):
+    """The replay of a row by solves whose verdicts and peaks are given by rung; and the runs solved, by rung."""
+    rungs, solved = Rungs.of(study, RECIPE.settings).settings, {}
+
+    def solve(recipe, row, settings):
+        rung = next(k for k, each in enumerate(rungs) if (each.choices, each.rtol) == (settings.choices, settings.rtol))
+        solved[rung] = object.__new__(Trajectory)
+        object.__setattr__(solved[rung], "figures", SimpleNamespace(verdict=verdicts[rung], peak_ratio=0.1 * rung))
+        return solved[rung]
+
+    # The package re-exports the function by the name of its module.
+    module = sys.modules[replay.__module__]
+    monkeypatch.setattr(module, "_solved", solve)
+    monkeypatch.setattr(module, "_row", lambda folder, index: {"index": index, "outcome": 0, **row})
+    return replay(RunFolder(Path("none")), RECIPE, 3, None), solved
+
+
+@pytest.mark.parametrize("rung", [0, 1, 2])
+def test_a_run_is_replayed_by_the_solve_that_decided_it(monkeypatch, rung):
+    again, solved = replayed(monkeypatch, {"rung": rung, "verdict": 0, "peak_ratio": 0.1 * rung}, [0, 0, 0])
+    assert list(solved) == [rung]
+    assert again.agrees
+
+
+DISPUTES = {"as before": ([1, 0, 2], 0, True), "otherwise": ([2, 1, 0], 1, True), "no more": ([0, 0, 0], 0, False)}
+
+
+@pytest.mark.parametrize(("verdicts", "shown", "agrees"), DISPUTES.values(), ids=DISPUTES)
+def test_a_disputed_run_is_replayed_by_every_solve(monkeypatch, verdicts, shown, agrees):
+    row = {"rung": 2, "verdict": 2, "peak_ratio": float("nan"), "outcome": int(qj.Outcome.SOLVES_DISAGREE)}
+    again, solved = replayed(monkeypatch, row, verdicts)
+    assert list(solved) == [0, 1, 2]
+    assert again.agrees == agrees
+    assert again.trajectory is solved[shown]
 
 
 def test_contrast_pairs_runs_with_equal_draws(tmp_path):

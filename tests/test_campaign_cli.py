@@ -176,6 +176,23 @@ def test_the_report_is_one_page_that_loads_nothing_and_says_the_verdict(run):
     assert all(each.startswith("data:image/png;base64,") for each in page.loaded)
 
 
+def test_the_report_says_what_the_check_changed_and_how_to_solve_all_runs_so(run, tmp_path):
+    there = tmp_path / "run"
+    shutil.copytree(run, there)
+    summary = json.loads((there / "summary.json").read_text())
+    changes = {"energy_u": {"absolute": "inf", "relative": "inf"}, "steps": {"absolute": 0.0, "relative": 0.0}}
+    error = {"checked": 9, "peak_ratio": 0.25, "changed": 2, "unchecked": 3, "metrics": changes}
+    (there / "summary.json").write_text(json.dumps({**summary, "numerical_error": error}))
+    assert qsmc("report", there).exit_code == 0
+    page = Page()
+    page.feed((there / "report.html").read_text())
+    text = " ".join(page.text.split())
+    assert "changed by 0.25 at most, and 2 verdicts changed; 3 more came to no verdict" in text
+    assert f"qsmc verify {STUDY} --runs 128" in text
+    assert "--rtol 1e-08 --max-steps 1000000 --method other --out firmer" in text
+    assert "energy_u" in text.partition("metrics that changed most")[2].partition("Worst runs")[0]
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not any(map(shutil.which, BROWSERS)), reason="needs a Chromium browser")
 def test_a_browser_shows_the_report(run, tmp_path):

@@ -7,13 +7,16 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
+from qsmc_jax.cli import options
 from qsmc_jax.cli.main import app
+from qsmc_jax.simulation import settings
 
 STUDY = str(Path(__file__).parent / "studies_for_tests.py")
 SMALL = ["--runs", "64", "--block", "64"]
@@ -48,9 +51,15 @@ def test_json_is_the_only_thing_on_standard_output():
 
 
 def test_a_violation_exits_1():
-    done = qsmc("verify", STUDY, *SMALL, "-S", "gain_sign=-1")
+    done = qsmc("verify", STUDY, *SMALL, "-S", "gain_sign=-1", "--method", "rodas5p")
     assert done.exit_code == 1
     assert "left the funnel at" in done.output
+    # The violated runs were decided by the second solve, at a hundredth of the tolerance.
+    assert "--rtol 1e-08 --method rodas5p" in done.output
+
+
+def test_methods_are_those_of_the_settings():
+    assert get_args(get_args(options.Method)[0]) == get_args(settings.Method)
 
 
 def test_an_undecided_verification_exits_3():

@@ -1,4 +1,4 @@
-"""Verification: counts, intervals, ladder, refusals. Truth: the scalar loop's closed forms, and SciPy's intervals."""
+"""Verification: counts, intervals, refusals. Truth: the scalar loop's closed forms, and SciPy's intervals."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,10 @@ def test_a_wrong_gain_sign_is_violated_and_confirmed():
     claim = found.claims[0]
     assert found.verdict == qj.Verdict.VIOLATED
     assert claim.violated + claim.inadmissible == BLOCK
-    assert found.climbed[0] == claim.violated
+    assert found.escalated == (claim.violated, 0)
+    # Both solves by one method, and then one by another.
+    assert np.all(found.worst["rung"] == 1)
+    assert (claim.confirmed, claim.changed, found.numerical_error.unchecked) == (claim.violated, 0, 0)
     assert np.all(found.worst["least_gain"] < 0)
     assert "gain_sign" in found.conclusion()
 
@@ -91,11 +94,14 @@ def test_a_solve_that_fails_is_undecided_and_widens_the_interval():
 
 
 @pytest.mark.slow
-def test_the_ladder_decides_what_the_first_rung_could_not():
+def test_a_later_rung_decides_what_the_first_rung_could_not():
     """Too few steps for some runs with Tsit5, at either tolerance; the implicit rung has ten times as many."""
     found = qj.verify(study, BLOCK, block=BLOCK, settings=qj.SolverSettings(max_steps=100))
-    assert found.climbed[1] > found.claims[0].undecided
-    assert found.claims[0].violated == 0
+    assert found.escalated[1] > found.claims[0].undecided
+    assert found.verdict == qj.Verdict.HELD
+    # A third method checks what the second decided: the first could not.
+    error = found.numerical_error
+    assert (error.checked, error.unchecked, error.changed) == (found.claims[0].held, 0, 0)
 
 
 def test_a_horizon_shorter_than_the_reaching_time_leaves_reaching_undecided():

@@ -50,7 +50,7 @@ class BlockFile:
         return Runs({name: table[name].to_numpy() for name in table.column_names}, tuple(about["names"]))
 
     def about(self) -> dict[str, Any]:
-        """What was written of the block besides: how many runs climbed the ladder, and the defects."""
+        """What was written of the block besides: how many runs were solved again, and the defects."""
         import pyarrow.parquet as pq
 
         return json.loads((pq.read_schema(self.path).metadata or {})[_KEY])

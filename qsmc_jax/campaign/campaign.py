@@ -111,7 +111,7 @@ def run_campaign(
     """
     check_request(runs, confidence, worst, until)
     is_anytime = folder.ask_for(runs, until is not None)
-    evidence, session = Evidence(recipe.study, worst, recipe.block), folder.begin_session(provenance or {})
+    evidence, session = Evidence(recipe.study, worst), folder.begin_session(provenance or {})
     state, decision = "interrupted", None
     blocks = Blocks(folder, recipe, runs, should_stop)
     solving = blocks.solved(engine or Threads(), session)

@@ -16,7 +16,8 @@ def described(schema: Any, specs: tuple[DrawSpec, ...]) -> Any:
     import pyarrow as pa
 
     drawn = {column: f"Drawn by the study: {spec.kind}." for spec in specs for column in spec.columns}
-    texts = {"index": "Index of the run.", **_figures(), **drawn}
+    own = {"index": "Index of the run.", "rung": "The solve whose figures these are: 0 first, 1 firmer, 2 independent."}
+    texts = {**own, **_figures(), **drawn}
     fields = []
     for field in schema:
         text = texts.get(field.name, texts.get(re.sub(r"\[\d+\]$", "", field.name), ""))

@@ -18,7 +18,7 @@ from qsmc_jax.study.draw import DrawSpec
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.verification.stopping import LOOK
 
-SCHEMA = 1
+SCHEMA = 2
 FILE_RUNS = LOOK
 
 
@@ -194,7 +194,7 @@ class RunFolder:
             solved: The rows, and what they cost.
             specs: The names that they were drawn by.
         """
-        about = {"climbed": solved.climbed, "defects": solved.defects}
+        about = {"escalated": solved.escalated, "defects": solved.defects}
         write_block(self.path / "blocks", solved.rows, about, specs)
 
     def tables(self, start: int = 0, stop: int | None = None) -> Iterator[Runs]:
@@ -217,18 +217,18 @@ class RunFolder:
             reached = file.stop
 
     def effort(self, stop: int) -> dict[str, Any]:
-        """Climbed runs and defects of the blocks up to a run.
+        """Escalated runs and defects of the blocks up to a run.
 
         Args:
             stop: Run after the last.
         """
-        climbed, defects = [0, 0], set()
+        escalated, defects = [0, 0], set()
         for file in block_files(self.path / "blocks"):
             if file.start < stop:
                 about = file.about()
-                climbed = [a + b for a, b in zip(climbed, about["climbed"], strict=True)]
+                escalated = [a + b for a, b in zip(escalated, about["escalated"], strict=True)]
                 defects.update(index for index in about["defects"] if index < stop)
-        return {"climbed": tuple(climbed), "defects": tuple(sorted(defects))}
+        return {"escalated": tuple(escalated), "defects": tuple(sorted(defects))}
 
     def sessions(self) -> list[dict[str, Any]]:
         """The notes of all sessions, the oldest first."""

@@ -19,7 +19,8 @@ from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study
 from qsmc_jax.study.windows import Planner
 from qsmc_jax.verification.decided import through
-from qsmc_jax.verification.ladder import Ladder
+from qsmc_jax.verification.escalation import Escalation
+from qsmc_jax.verification.rungs import Rungs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +82,7 @@ class Recipe:
 
     @property
     def stream(self) -> Callable[..., Iterator[Runs]]:
-        """`stream` of the study, to be called with indices and `settings`."""
+        """`stream` of the study, to be called with indices, `settings` and `block`."""
         return ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
 
     def solve(self, runs: range, progress: Progress | None = None) -> "Solved":
@@ -92,13 +93,14 @@ class Recipe:
             progress: Called as `progress(done, len(runs))` after each piece of the first solve.
         """
         planner, workload, begin = self.planner, Workload(), time.perf_counter()
-        ladder = Ladder(self.stream, self.settings, self.block)
+        escalation = Escalation(self.stream, Rungs.of(self.study, self.settings), self.block)
         options = {"settings": self.settings, "workload": workload, "planner": planner, "progress": progress}
-        tables = list(through(ladder, self.stream(runs, **options)))
+        tables = list(through(escalation, self.stream(runs, **options)))
         table = concatenate(tables)
         rows = table.take(table["index"].argsort())
         seconds = time.perf_counter() - begin
-        return Solved(rows, tuple(ladder.climbed), tuple(ladder.defects), workload.steps, workload.paid, seconds)
+        escalated, defects = tuple(escalation.escalated), tuple(escalation.defects)
+        return Solved(rows, escalated, defects, workload.steps, workload.paid, seconds)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +109,7 @@ class Solved:
 
     Attributes:
         rows: The rows.
-        climbed: Runs solved again on rung 1, 2 of the ladder.
+        escalated: Runs solved again on rung 1, 2.
         defects: Indices of runs whose peak broke the comparison bound.
         steps: Solver steps of the first solves.
         paid: Steps made by all lanes for them.
@@ -115,7 +117,7 @@ class Solved:
     """
 
     rows: Runs
-    climbed: tuple[int, ...]
+    escalated: tuple[int, ...]
     defects: tuple[int, ...]
     steps: int
     paid: int

@@ -8,10 +8,12 @@ import numpy as np
 from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import Recipe
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.trajectory import Trajectory
 from qsmc_jax.study.runs import Runs
-from qsmc_jax.verification.ladder import firmer, stiff
+from qsmc_jax.verification.escalation import agreed
+from qsmc_jax.verification.rungs import RUNGS, Rungs
 from qsmc_jax.verification.summary import worst_of
 
 # By how much the peak may differ from the recorded one, in units of the relative tolerance: another program rounds
@@ -24,9 +26,9 @@ class Replay:
     """A run, solved again.
 
     Attributes:
-        trajectory: The run, as the rung of the ladder solves it that agrees; else as the study's settings do.
+        trajectory: The run, as the solve that decided it; of one on which solves disagree, one that says VIOLATED.
         row: Its recorded row.
-        agrees: Whether verdict and sup |sigma|/rho are as recorded.
+        agrees: Whether verdict and sup |sigma|/rho are as recorded, or else whether the solves disagree again.
     """
 
     trajectory: Trajectory
@@ -69,16 +71,20 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
     """
     require((index is None) != (worst is None), "One of `--run` and `--worst` must say which run.")
     row = _row(folder, index) if index is not None else _worst(folder, worst or 0)
+    rungs = Rungs.of(recipe.study, recipe.settings)
+    if row["outcome"] == Outcome.SOLVES_DISAGREE:
+        tried = [_solved(recipe, row, rungs.settings[rung]) for rung in range(RUNGS)]
+        verdicts = [int(run.figures.verdict) for run in tried]
+        shown = verdicts.index(Verdict.VIOLATED) if Verdict.VIOLATED in verdicts else 0
+        return Replay(tried[shown], row, bool(agreed([np.array([each]) for each in verdicts])[0] == Verdict.UNDECIDED))
+    run = _solved(recipe, row, rungs.settings[int(row["rung"])])
     close = 1e-9 + _AGREEMENT * float(recipe.settings.rtol)
-    tried = []
-    # A doubtful run was decided at a tighter tolerance than most, or by an implicit method.
-    for settings in (recipe.settings, firmer(recipe.settings), stiff(recipe.settings)):
-        tried.append(recipe.study.replay(row["index"], recipe.seed, settings=settings))
-        figures = tried[-1].figures
-        is_near = np.isclose(float(figures.peak_ratio), row["peak_ratio"], rtol=close, equal_nan=True)
-        if is_near and int(figures.verdict) == row["verdict"]:
-            return Replay(tried[-1], row, True)
-    return Replay(tried[0], row, False)
+    is_near = np.isclose(float(run.figures.peak_ratio), row["peak_ratio"], rtol=close, equal_nan=True)
+    return Replay(run, row, bool(is_near) and int(run.figures.verdict) == row["verdict"])
+
+
+def _solved(recipe: Recipe, row: dict[str, Any], settings: SolverSettings) -> Trajectory:
+    return recipe.study.replay(row["index"], recipe.seed, settings=settings)
 
 
 def _row(folder: RunFolder, index: int) -> dict[str, Any]:

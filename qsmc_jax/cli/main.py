@@ -12,7 +12,7 @@ import typer
 from qsmc_jax.cli.campaign_commands import register_campaign
 from qsmc_jax.cli.console import say, waiting
 from qsmc_jax.cli.newcomer_commands import register_newcomer
-from qsmc_jax.cli.options import Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile
+from qsmc_jax.cli.options import Cache, Json, MaxSteps, Method, Out, Overrides, Rtol, Seed, StudyFile
 from qsmc_jax.cli.robustness_commands import register
 from qsmc_jax.cli.session import UNDECIDED, session
 from qsmc_jax.cli.study_file import load_study
@@ -38,6 +38,7 @@ def simulate(
     as_json: Json = False,
     rtol: Rtol = 1e-6,
     max_steps: MaxSteps = 100_000,
+    method: Method = "auto",
     cache: Cache = True,
 ) -> None:
     """Solve the nominal run of a study, or replay one run of a verification, in full."""
@@ -48,7 +49,7 @@ def simulate(
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             study = load_study(study_file, overrides or [])
-            settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+            settings = SolverSettings(rtol=rtol, max_steps=max_steps, method=method)
             with waiting("solving", quiet=as_json):
                 run = (
                     study.simulate(settings=settings) if index is None else study.replay(index, seed, settings=settings)

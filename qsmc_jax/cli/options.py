@@ -1,7 +1,7 @@
 """Arguments and options that several commands share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -23,6 +23,10 @@ Out = Annotated[Path | None, typer.Option(help="New folder for data and pictures
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Rtol = Annotated[float, typer.Option(help="Relative tolerance of the solver.")]
 Cache = Annotated[bool, typer.Option("--cache/--no-cache", help="Keep compiled programs in the user's cache folder.")]
+Method = Annotated[
+    Literal["auto", "other", "tsit5", "rodas4", "rodas5p"],
+    typer.Option(help="Solver; `other` takes the one that `auto` does not, as a check."),
+]
 MaxSteps = Annotated[int, typer.Option(help="Steps after which a run is given up as UNDECIDED.")]
 Block = Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")]
 Threads = Annotated[int | None, typer.Option(help="Blocks solved at once; default one a core.")]

@@ -12,7 +12,7 @@ import typer
 
 from qsmc_jax.cli.console import progress_bar, say, waiting
 from qsmc_jax.cli.interrupts import finishing
-from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Method, Overrides, Rtol, Seed, StudyFile, Threads
 from qsmc_jax.cli.recipes import recipe_of
 from qsmc_jax.cli.session import UNDECIDED, session
 
@@ -46,6 +46,7 @@ def verify_study(
     worst: Annotated[int, typer.Option(help="How many of the worst runs to list.")] = 5,
     rtol: Rtol = 1e-6,
     max_steps: MaxSteps = 100_000,
+    method: Method = "auto",
     block: Block = 512,
     threads: Threads = None,
     cache: Cache = True,
@@ -59,21 +60,21 @@ def verify_study(
         from qsmc_jax.campaign.campaign import prepare as prepare_folder
         from qsmc_jax.report.provenance import provenance
 
-        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+        settings = SolverSettings(rtol=rtol, max_steps=max_steps, method=method)
         rule = _rule(until_below, until_width, sprt)
         recipe = recipe_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
         if out is None and (fresh or prepare or scheduler or workers):
             raise ValueError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
         origin = provenance(study_file, sys.argv)
-        again = "".join(f" -S {shlex.quote(override)}" for override in overrides or [])
+        fixed = [word for override in overrides or [] for word in ("-S", override)]
         if out is None:
-            command = f"qsmc simulate {shlex.quote(str(study_file))} --seed {seed}{again} --index"
+            again = ["qsmc", "simulate", str(study_file), "--seed", str(seed), *fixed, "--index"]
             result = _at_once(recipe, runs, confidence, worst, rule, as_json)
-            _tell(result, command, None, origin, as_json)
+            _tell(result, study_file, again, None, origin, as_json)
         else:
             place, about = _beside(out) if fresh else out, {"file_runs": file_runs, "provenance": origin}
             folder = prepare_folder(place, recipe, study_file=str(study_file), **about)
-            command = f"qsmc show {shlex.quote(str(folder.path))} --run"
+            again = ["qsmc", "show", str(folder.path), "--run"]
             if prepare:
                 folder.ask_for(runs, rule is not None)
                 say(f"Prepared {folder.path} for {runs} runs. Now: qsmc worker {folder.path} --shard 0/4, 1/4, ...")
@@ -81,7 +82,7 @@ def verify_study(
             with _engine(scheduler, workers) as engine:
                 campaign = _Campaign(folder, recipe, origin, runs, confidence, worst, rule, engine)
                 result = campaign.run(as_json)
-            _tell(result, command, folder.path, origin, as_json)
+            _tell(result, study_file, again, folder.path, origin, as_json)
     raise typer.Exit(EXIT_CODES.get(result.verdict.name, UNDECIDED))
 
 
@@ -190,21 +191,32 @@ def _engine(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         yield Dask(client)
 
 
-def _tell(result: "Verification", again: str, out: Path | None, origin: dict[str, Any], as_json: bool) -> None:
+def _tell(
+    result: "Verification", study_file: Path, again: list[str], out: Path | None, origin: dict[str, Any], as_json: bool
+) -> None:
+    from qsmc_jax.campaign.commands import solver_options, verify_command
     from qsmc_jax.report.folder import to_json
 
     if as_json:
         say(to_json({**result.summary(), "provenance": origin}))
         return
-    error = result.numerical_error
+    values = {name: value.tolist() for name, value in result.study.values.items()}
+    firmer = verify_command(str(study_file), result.runs, result.seed, result.confidence, values, result.firmer)
+    firmer += ["--out", f"{out}-firmer"] if out else []
+    rows = [result.worst.row(i) for i in range(len(result.worst))]
+    # A run folder knows the settings of its runs; whoever solves one without it must be told.
+    options = [[] if out else solver_options(result.settings_of(row)) for row in rows]
     speed = f"{result.runs / result.solve_seconds:.0f} runs/s, " if result.solve_seconds else ""
     lines = [
         str(result),
-        f"Numerical error of sup |sigma|/rho: {error.peak_ratio:.2g} ({error.checked} runs solved again at rtol / 100, "
-        f"{error.changed} verdicts changed); doubtful runs solved again: {result.climbed[0]}",
+        f"{result.numerical_error}; doubtful runs solved again: {result.escalated[0]}",
+        *([f"All runs by the solve that disagrees: {shlex.join(firmer)}"] if result.numerical_error.changed else []),
         f"{speed}{result.steps / result.runs:.0f} steps a run, lanes occupied {100 * result.occupancy:.0f} %",
         "Worst runs:",
-        *(f"  {finding(row)}   {again} {row['index']}" for row in map(result.worst.row, range(len(result.worst)))),
+        *(
+            f"  {finding(row)}   {shlex.join([*again, str(row['index']), *words])}"
+            for row, words in zip(rows, options, strict=True)
+        ),
         *([f"Written to {out}; open {out / 'report.html'}."] if out else []),
     ]
     say("\n".join(lines))

@@ -10,10 +10,12 @@ import jinja2
 
 from qsmc_jax.base.plotting import as_png
 from qsmc_jax.campaign.atomic import write_whole
+from qsmc_jax.campaign.commands import verify_command
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.report.drivers import Drivers
 from qsmc_jax.report.folder import to_json
 from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.verification.result import Verification
 
 _PICTURES = {
@@ -58,10 +60,12 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
         loader=jinja2.PackageLoader("qsmc_jax.report", "templates"), autoescape=True, undefined=jinja2.StrictUndefined
     )
     environment.filters["short"] = _short
-    again = ["qsmc", "verify", manifest["study_file"], "--runs", str(summary["runs"]), "--seed", str(summary["seed"])]
-    again += ["--confidence", f"{summary['confidence']:g}"]
-    for name, value in summary["values"].items():
-        again += ["-S", f"{name}={','.join(map(str, value if isinstance(value, list) else [value]))}"]
+    about = (manifest["study_file"], summary["runs"], summary["seed"], summary["confidence"], summary["values"])
+    identity = manifest["identity"]
+    own = SolverSettings(**{name: identity[name] for name in ("rtol", "max_steps", "method")})
+    error = summary["numerical_error"]
+    changed = {name: change for name, change in error["metrics"].items() if float(change["relative"]) > 0.0}
+    largest = sorted(changed.items(), key=lambda item: -float(item[1]["relative"]))
     return environment.get_template("report.html.j2").render(
         place=place,
         summary=summary,
@@ -73,13 +77,10 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
         manifest=manifest,
         sessions=folder.sessions(),
         zip=zip,
-        again=shlex.join([*again, *_solver(manifest["identity"]), "--out", "again"]),
+        again=shlex.join([*verify_command(*about, own), "--out", "again"]),
+        firmer=shlex.join([*verify_command(*about, SolverSettings(**summary["firmer"])), "--out", "firmer"]),
+        largest=largest[:5],
     )
-
-
-def _solver(identity: Mapping[str, Any]) -> list[str]:
-    """The options of `qsmc verify` that decide the rows."""
-    return ["--rtol", f"{identity['rtol']:g}", "--max-steps", str(identity["max_steps"])]
 
 
 def _sentence(claim: Mapping[str, Any], summary: Mapping[str, Any]) -> str:

@@ -22,6 +22,7 @@ class Verdict(enum.IntEnum):
     INADMISSIBLE = 3
 
 
+@enum.unique
 class Outcome(enum.IntEnum):
     """How the solve of one run ended; `advice` says what to do about it.
 
@@ -42,6 +43,7 @@ class Outcome(enum.IntEnum):
     LOST = 7
     QUEUE_FULL = 8
     UNRESOLVED = 9
+    SOLVES_DISAGREE = 10
 
     @property
     def advice(self) -> str:
@@ -68,4 +70,6 @@ _ADVICE = {
     "not be ruled out: it has no bound there, or the reference jumps and the plant with it.",
     Outcome.QUEUE_FULL: "The delay is longer than the samples that can be under way: raise `queue` of the "
     "`Implementation` above the delay over the period.",
+    Outcome.SOLVES_DISAGREE: "One solve says that the run held and another that it was violated, and no two "
+    "independent ones agree: lower `rtol`, and look for something short in time.",
 }

@@ -19,7 +19,7 @@ _LOOSEST_IN_FUNNEL = 3e-5
 # may round otherwise, take other steps, and so differentiate another run (3 % off in the median run of Example 2).
 CHECKPOINTS = 4096
 
-Method = Literal["auto", "tsit5", "rodas4", "rodas5p"]
+Method = Literal["auto", "other", "tsit5", "rodas4", "rodas5p"]
 CoordinatesName = Literal["funnel", "physical"]
 Adjoint = Literal["reverse", "forward"]
 
@@ -37,7 +37,8 @@ class SolverSettings(AbstractModule):
         max_steps: Steps, kept or not, after which a run is given up as UNDECIDED; at least 1.
         method: `"tsit5"` (explicit, order 5), `"rodas5p"` (linearly implicit, order 5, for stiff loops) or `"rodas4"`
             (an older one of order 4); `"auto"` takes the first or the second by the stiffness of each run, and the
-            first in a program that is being traced.
+            first in a program that is being traced; `"other"` the one of the two that `"auto"` does not take, for an
+            independent check.
         coordinates: `"funnel"` integrates the loop in the funnel coordinate, which has no pole to step over;
             `"physical"` integrates the states as they are and rejects every step with a stage outside the funnel: an
             independent cross-check.

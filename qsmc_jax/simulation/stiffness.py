@@ -13,13 +13,25 @@ from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.settings import Method, SolverSettings
 
 # Up to this stiffness an explicit method's steps are short for accuracy, not for stability, and half as dear. Measured
 # at rtol 1e-6: the two methods take the same time at some 700 in Example 1 of the paper, 1500 in Example 2.
 EXPLICIT_UP_TO = 1000.0
 # Instants at which the rate is looked at, more of them early.
 _INSTANTS = 48
+
+# Methods that stand for one of two, by the stiffness of each run.
+BY_STIFFNESS = ("auto", "other")
+
+# The method that shares no step with a given one: an explicit one against an implicit one.
+OTHER: dict[str, Method] = {
+    "auto": "other",
+    "other": "auto",
+    "tsit5": "rodas5p",
+    "rodas4": "tsit5",
+    "rodas5p": "tsit5",
+}
 
 
 @entry_point
@@ -51,19 +63,21 @@ def _decay_rate(loop: ClosedLoop, t: Array) -> Array:
     return gain * (0.5 * math.pi) / rho * (1.0 + input_**2)
 
 
-def method_for(stiffness: float, nominal: float) -> str:
+def method_for(stiffness: float, nominal: float, asked_for: Method = "auto") -> Method:
     """The method for a run of the given stiffness, in a study whose nominal run has the other.
 
     A second method is a second program to compile: only runs that are much stiffer than the nominal one are worth it.
     """
+    if asked_for not in BY_STIFFNESS:
+        return asked_for
     is_stiff = nominal > EXPLICIT_UP_TO or stiffness > 3.0 * EXPLICIT_UP_TO
-    return "rodas5p" if is_stiff else "tsit5"
+    return "rodas5p" if is_stiff == (asked_for == "auto") else "tsit5"
 
 
 def with_method(
     settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike, nominal: float | None = None
 ) -> SolverSettings:
-    """The settings with a method in place of `"auto"`; the explicit one while the loop is being traced.
+    """The settings with a method in place of `"auto"` or `"other"`; as for a loop that is not stiff while it is traced.
 
     Args:
         settings: The settings.
@@ -72,9 +86,7 @@ def with_method(
         t1: The horizon [s].
         nominal: Stiffness of the nominal run of the study; None for a run on its own.
     """
-    if settings.method != "auto":
+    if settings.method not in BY_STIFFNESS:
         return settings
-    if is_traced(loop, x0, t1):
-        return settings.replace(method="tsit5")
-    own = float(stiffness(loop, x0, t1))
-    return settings.replace(method=method_for(own, own if nominal is None else nominal))
+    own = 0.0 if is_traced(loop, x0, t1) else float(stiffness(loop, x0, t1))
+    return settings.replace(method=method_for(own, own if nominal is None else nominal, settings.method))

@@ -66,8 +66,8 @@ class Lanes:
     @property
     def nominal_method(self) -> str:
         """The method for the nominal run."""
-        method, nominal = self.settings.method, self.study.stiffness
-        return method_for(nominal, nominal) if method == "auto" else method
+        nominal = self.study.stiffness
+        return method_for(nominal, nominal, self.settings.method)
 
     def solve(self, indices: np.ndarray, points: Float[np.ndarray, "runs dim"], method: str) -> Runs:
         """The rows of up to `count` runs. Lanes left over repeat the first run and are dropped."""

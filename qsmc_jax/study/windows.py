@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.simulation.stiffness import method_for
+from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
 from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling
@@ -63,11 +63,11 @@ class Planner:
     def _methods(self, chunked: list[Float[np.ndarray, "_ dim"]]) -> tuple[np.ndarray, np.ndarray]:
         """The method for each run, and how stiff it will be if that has a say."""
         runs, asked_for = sum(map(len, chunked)), self._lanes.settings.method
-        if asked_for != "auto":
+        if asked_for not in BY_STIFFNESS:
             return np.full(runs, asked_for), np.zeros(runs)
         stiffness = np.concatenate([self._lanes.stiffness(points) for points in chunked])
         nominal = self._lanes.study.stiffness
-        return np.array([method_for(each, nominal) for each in stiffness]), stiffness
+        return np.array([method_for(each, nominal, asked_for) for each in stiffness]), stiffness
 
 
 def reassembled(solved: list[tuple[np.ndarray, Runs]]) -> Runs:

@@ -121,7 +121,7 @@ def certify(
     threads: int | None,
     progress: Progress | None,
 ) -> list[Certificate]:
-    """Tries candidates on fresh runs, the same for all; doubtful runs climb the ladder as in `verify`.
+    """Tries candidates on fresh runs, the same for all; doubtful runs are solved again as in `verify`.
 
     Args:
         study: The study.

@@ -9,7 +9,8 @@ from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
-from qsmc_jax.verification.ladder import Ladder
+from qsmc_jax.verification.escalation import Escalation
+from qsmc_jax.verification.rungs import Rungs
 
 
 def decide(
@@ -22,7 +23,7 @@ def decide(
     threads: int | None,
     progress: Progress | None,
 ) -> Iterator[Runs]:
-    """Solves independent runs of a study and yields their rows, decided by the ladder, in no particular order.
+    """Solves independent runs of a study and yields their rows, decided by escalation, in no particular order.
 
     Args:
         study: The study.
@@ -34,15 +35,15 @@ def decide(
         progress: Called as `progress(done, len(indices))` after each block.
     """
     solve = ft.partial(stream, study, seed=seed, block=block, threads=threads)
-    ladder = Ladder(solve, settings, block)
-    yield from through(ladder, solve(indices, settings=settings, progress=progress))
+    escalation = Escalation(solve, Rungs.of(study, settings), block)
+    yield from through(escalation, solve(indices, settings=settings, progress=progress))
 
 
-def through(ladder: Ladder, tables: Iterator[Runs]) -> Iterator[Runs]:
-    """The rows of all tables once the ladder has decided them, in no particular order."""
+def through(escalation: Escalation, tables: Iterator[Runs]) -> Iterator[Runs]:
+    """The rows of all tables once they are decided, in no particular order."""
     for table in tables:
-        yield from ladder.feed(table)
-    yield from ladder.finish()
+        yield from escalation.feed(table)
+    yield from escalation.finish()
 
 
 def part_of(progress: Progress | None, before: int, total: int) -> Progress | None:

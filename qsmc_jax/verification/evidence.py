@@ -1,10 +1,7 @@
 """From rows to a verdict: what is kept of them, and what is concluded in the end."""
 
 import dataclasses
-import math
-from collections.abc import Callable, Iterator
-
-import numpy as np
+from collections.abc import Callable
 
 from qsmc_jax.base.checks import require_count, require_fraction, require_kind
 from qsmc_jax.simulation.outcome import Verdict
@@ -12,8 +9,9 @@ from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.anytime import confidence_sequence
-from qsmc_jax.verification.ladder import firmer, is_doubtful
-from qsmc_jax.verification.result import Claim, NumericalError, Verification
+from qsmc_jax.verification.numerical_error import ClaimCheck, Sample, Solve, recheck
+from qsmc_jax.verification.result import Claim, Verification
+from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.statistics import clopper_pearson
 from qsmc_jax.verification.stopping import AbstractRule
 from qsmc_jax.verification.summary import Summary
@@ -30,13 +28,13 @@ class Effort:
     """What the rows cost.
 
     Attributes:
-        climbed: Runs solved again on rung 1, 2 of the ladder.
+        escalated: Runs solved again on rung 1, 2.
         defects: Indices of runs whose peak broke the comparison bound.
         occupancy: Part of the solver's work that was not waiting for the slowest run of a block.
         seconds: Time of solving [s].
     """
 
-    climbed: tuple[int, ...]
+    escalated: tuple[int, ...]
     defects: tuple[int, ...]
     occupancy: float
     seconds: float
@@ -48,24 +46,25 @@ class Evidence:
     Attributes:
         study: Their study.
         summary: Counts, worst rows, histograms.
+        sample: Rows to be solved again, with the worst.
         runs: Rows so far.
     """
 
-    def __init__(self, study: Study, worst: int, block: int):
-        """None yet; of the first `block` rows a sample will be kept to be solved again, with the worst."""
+    def __init__(self, study: Study, worst: int):
+        """None yet; so many of the worst rows will be kept."""
         reaching_time = float(study.nominal.loop.control.funnel.reaching_time(study.bandwidth))
-        self.study, self.runs, self.summary = study, 0, Summary(worst, longest_reach=2.0 * reaching_time or 1.0)
-        self._sample, self._sampled = [], max(block - worst, 1)
+        self.study, self.runs, self.sample = study, 0, Sample()
+        self.summary = Summary(worst, longest_reach=2.0 * reaching_time or 1.0)
 
     def add(self, table: Runs) -> None:
         """Takes a table of decided rows in."""
-        self._sample = self._sample or [table.take(~is_doubtful(table)).take(slice(self._sampled))]
+        self.sample.add(table)
         self.summary.add(table)
         self.runs += len(table)
 
     def conclude(
         self,
-        solve: Callable[..., Iterator[Runs]],
+        solve: Solve,
         effort: Effort,
         *,
         seed: int,
@@ -74,10 +73,10 @@ class Evidence:
         is_anytime: bool = False,
         decision: str | None = None,
     ) -> Verification:
-        """Solves the sample and the worst rows again at a hundredth of the tolerance, and puts all together.
+        """Solves the sample and the worst rows again another way, and puts all together.
 
         Args:
-            solve: `stream` of the study, to be called with indices and `settings`.
+            solve: `stream` of the study, to be called with indices, `settings` and `block`.
             effort: What the rows cost.
             seed: Seed of the rows.
             confidence: Confidence of each interval.
@@ -87,18 +86,22 @@ class Evidence:
         """
         summary = self.summary
         interval = confidence_sequence if is_anytime else clopper_pearson
-        checked = concatenate([*self._sample, *summary.worst])
-        claims = zip(_STATEMENTS, CLAIMS, strict=True)
+        rows = concatenate([*self.sample.rows, *summary.worst])
+        error, checks = recheck(rows, solve, Rungs.of(self.study, settings))
+        claims = tuple(
+            _claim(summary, name, column, check, confidence, interval)
+            for name, column, check in zip(_STATEMENTS, CLAIMS, checks, strict=True)
+        )
         return Verification(
             study=self.study,
             runs=self.runs,
             seed=seed,
             confidence=confidence,
             settings=settings,
-            claims=tuple(_claim(summary, name, column, confidence, interval) for name, column in claims),
+            claims=claims,
             worst=concatenate(summary.worst),
-            numerical_error=_numerical_error(checked, solve, settings),
-            climbed=effort.climbed,
+            numerical_error=error,
+            escalated=effort.escalated,
             defects=effort.defects,
             margin=summary.margin,
             reach=summary.reach,
@@ -107,7 +110,7 @@ class Evidence:
             occupancy=effort.occupancy,
             solve_seconds=effort.seconds,
             is_anytime=is_anytime,
-            decision=decision,
+            decision=decision and (f"{decision}, by verdicts that the check doubts" if claims[0].changed else decision),
         )
 
 
@@ -121,21 +124,32 @@ def check_request(runs: int, confidence: float, worst: int, until: AbstractRule 
 
 
 def _claim(
-    summary: Summary, name: str, column: str, confidence: float, interval: Callable[..., tuple[float, float]]
+    summary: Summary,
+    name: str,
+    column: str,
+    check: ClaimCheck,
+    confidence: float,
+    interval: Callable[..., tuple[float, float]],
 ) -> Claim:
+    """The counts of a claim, and the interval.
+
+    The check samples: where it changes one verdict, others that it did not try may be as wrong. All that it did not
+    confirm then count as undecided in the interval, which holds however many of them are.
+    """
     counts = summary.counts[column]
     held, violated, undecided = counts[Verdict.HELD], counts[Verdict.VIOLATED], counts[Verdict.UNDECIDED]
-    low, high = interval(violated, undecided, held + violated + undecided, confidence)
-    return Claim(name, _STATEMENTS[name], held, violated, undecided, counts[Verdict.INADMISSIBLE], low, high)
-
-
-def _numerical_error(checked: Runs, solve: Callable[..., Iterator[Runs]], settings: SolverSettings) -> NumericalError:
-    """Solves the decided rows again at a hundredth of the tolerance, and compares."""
-    decided = (checked["verdict"] == Verdict.HELD) | (checked["verdict"] == Verdict.VIOLATED)
-    before = checked.take(decided)
-    if not len(before):
-        return NumericalError(0, math.nan, 0)
-    after = concatenate(list(solve(before["index"], settings=firmer(settings))))
-    change = np.abs(after["peak_ratio"] - before["peak_ratio"])
-    changed = np.any([after[claim] != before[claim] for claim in CLAIMS], axis=0)
-    return NumericalError(len(before), float(np.nanmax(change, initial=0.0)), int(changed.sum()))
+    total = held + violated + undecided
+    sure = (check.violated, total - check.held - check.violated) if check.changed else (violated, undecided)
+    low, high = interval(*sure, total, confidence)
+    return Claim(
+        name=name,
+        statement=_STATEMENTS[name],
+        held=held,
+        violated=violated,
+        undecided=undecided,
+        inadmissible=counts[Verdict.INADMISSIBLE],
+        low=low,
+        high=high,
+        changed=check.changed,
+        confirmed=check.violated,
+    )

@@ -9,7 +9,9 @@ from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
+from qsmc_jax.verification.numerical_error import NumericalError
 from qsmc_jax.verification.result_plots import plot_margin, plot_verification
+from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.statistics import runs_needed
 from qsmc_jax.verification.summary import Histogram
 
@@ -27,6 +29,9 @@ class Claim:
         inadmissible: Runs in which a premise does not hold; not counted in the interval.
         low: Lower end of the interval.
         high: Upper end of the interval.
+        changed: Runs whose verdict changed when they were solved again another way, of a sample and the worst. With
+            one, the interval counts as undecided every run that was not solved again or not confirmed.
+        confirmed: Violated runs that were confirmed so.
     """
 
     name: str
@@ -37,30 +42,20 @@ class Claim:
     inadmissible: int
     low: float
     high: float
+    changed: int = 0
+    confirmed: int = 0
 
     @property
     def verdict(self) -> Verdict:
-        """VIOLATED by one violated run, UNDECIDED by one undecided, INADMISSIBLE if no run was admitted, else HELD."""
-        if self.violated:
+        """VIOLATED by one violated run, UNDECIDED by one undecided, INADMISSIBLE if no run was admitted, else HELD.
+
+        Once a verdict changed when solved again, only a violated run that was confirmed counts, and nothing is HELD.
+        """
+        if self.confirmed if self.changed else self.violated:
             return Verdict.VIOLATED
-        if self.undecided:
+        if self.undecided or self.changed:
             return Verdict.UNDECIDED
         return Verdict.HELD if self.held else Verdict.INADMISSIBLE
-
-
-@dataclasses.dataclass(frozen=True)
-class NumericalError:
-    """What solving runs again at a hundredth of the tolerance changed.
-
-    Attributes:
-        checked: Runs solved again: a random sample and the worst.
-        peak_ratio: Largest change of sup |sigma|/rho.
-        changed: Runs whose verdict on any claim changed.
-    """
-
-    checked: int
-    peak_ratio: float
-    changed: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,8 +70,8 @@ class Verification:
         settings: Settings of the first solve.
         claims: The three claims of Theorem 1.
         worst: The worst runs, most serious first.
-        numerical_error: What a tighter tolerance changed.
-        climbed: Runs solved again because they were doubtful: at a tighter tolerance, and by an implicit method.
+        numerical_error: What changed in the runs that were solved again to check them.
+        escalated: Runs solved again because they were doubtful: at a tighter tolerance, and by another method.
         defects: Indices of runs whose peak breaks the comparison bound: a defect of the simulator, not of the loop.
         margin: Histogram of 1 - sup |sigma|/rho.
         reach: Histogram of the reach time [s].
@@ -106,7 +101,7 @@ class Verification:
     claims: tuple[Claim, ...]
     worst: Runs
     numerical_error: NumericalError
-    climbed: tuple[int, ...]
+    escalated: tuple[int, ...]
     defects: tuple[int, ...]
     margin: Histogram
     reach: Histogram
@@ -123,12 +118,26 @@ class Verification:
         verdicts = [claim.verdict for claim in self.claims]
         if Verdict.VIOLATED in verdicts:
             return Verdict.VIOLATED
-        is_sound = not self.defects and not self.numerical_error.changed
         is_held = all(verdict == Verdict.HELD for verdict in verdicts)
-        return Verdict.HELD if is_held and is_sound else Verdict.UNDECIDED
+        return Verdict.HELD if is_held and not self.defects else Verdict.UNDECIDED
+
+    @property
+    def firmer(self) -> SolverSettings:
+        """The settings that the check used: to verify all runs by, where it changed a verdict."""
+        rungs = Rungs.of(self.study, self.settings)
+        return rungs.settings[rungs.check_of(0)]
+
+    def settings_of(self, row: Mapping[str, Any]) -> SolverSettings:
+        """The settings of the solve that decided a run.
+
+        Args:
+            row: Its row, with the column `rung`.
+        """
+        return Rungs.of(self.study, self.settings).settings[int(row["rung"])]
 
     def summary(self) -> Mapping[str, Any]:
         """Everything as plain numbers and texts, ready for JSON."""
+        firmer = self.firmer
         return {
             "verdict": self.verdict.name,
             "runs": self.runs,
@@ -140,7 +149,8 @@ class Verification:
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": [{**dataclasses.asdict(claim), "verdict": claim.verdict.name} for claim in self.claims],
             "numerical_error": dataclasses.asdict(self.numerical_error),
-            "climbed": list(self.climbed),
+            "firmer": {"rtol": float(firmer.rtol), "max_steps": firmer.max_steps, "method": firmer.method},
+            "escalated": list(self.escalated),
             "defects": list(self.defects),
             "peak_u": self.peak_u,
             "worst": [self.worst.row(i) for i in range(len(self.worst))],
@@ -158,10 +168,28 @@ class Verification:
         if self.verdict == Verdict.VIOLATED:
             reasons = {Outcome(int(code)).advice for code in self.worst["outcome"] if code != Outcome.COMPLETED}
             found = f"of {admitted} admissible runs {funnel.violated} left the funnel"
-            return " ".join((f"VIOLATED: {found}; {interval}.", *sorted(reasons)))
+            return " ".join((f"VIOLATED: {found}; {interval}.", *sorted(reasons), *self._of_the_check()))
         if self.verdict == Verdict.UNDECIDED:
             return f"UNDECIDED: {self._doubts()} Counting undecided runs both ways, {interval}."
-        return f"HELD in all {admitted} admissible runs: {interval}."
+        return " ".join((f"HELD in all {admitted} admissible runs: {interval}.", *self._of_the_check()))
+
+    def _of_the_check(self) -> list[str]:
+        """What is to be said of the runs that were solved again to check them; nothing if they were all confirmed."""
+        error, firmer, found = self.numerical_error, self.firmer, []
+        if error.changed:
+            claims = ", ".join(f"{claim.name} {claim.changed}" for claim in self.claims if claim.changed)
+            found.append(
+                f"Of {error.checked} runs that were solved again another way {error.changed} changed their verdict "
+                f"({claims}): until all are, by `SolverSettings(rtol={float(firmer.rtol)!r}, "
+                f"max_steps={firmer.max_steps}, method={firmer.method!r})`, every run that was not confirmed counts as "
+                "undecided in the interval."
+            )
+        if error.unchecked:
+            found.append(
+                f"{error.unchecked} of {error.checked + error.unchecked} runs could not be checked: solved again "
+                "another way they came to no verdict."
+            )
+        return found
 
     def _doubts(self) -> str:
         doubts = [f"{c.undecided} runs undecided on {c.name}." for c in self.claims if c.undecided]
@@ -174,8 +202,7 @@ class Verification:
             doubts.append(
                 f"{len(self.defects)} peaks break the comparison bound, a defect of the simulator: please report it."
             )
-        if self.numerical_error.changed:
-            doubts.append(f"{self.numerical_error.changed} verdicts change with the tolerance: lower `rtol`.")
+        doubts += self._of_the_check()
         codes = sorted({int(code) for code in self.worst["outcome"]} - {0})
         return " ".join(doubts + [Outcome(code).advice for code in codes])
 

@@ -13,9 +13,10 @@ from qsmc_jax.study.sampling import AbstractSampling, Random, require_seed
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.decided import part_of, through
+from qsmc_jax.verification.escalation import Escalation
 from qsmc_jax.verification.evidence import Effort, Evidence, check_request
-from qsmc_jax.verification.ladder import Ladder
 from qsmc_jax.verification.result import Verification
+from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import LOOK, AbstractRule, decision_of
 
 Sink = Callable[[Runs], None]
@@ -38,9 +39,10 @@ def verify(
 ) -> Verification:
     """Finds out by independent runs whether the funnel guarantee holds, and how sure that is.
 
-    Doubtful runs are solved again on firmer rungs and never dropped; what stays undecided widens the intervals both
-    ways. A random sample and the worst runs are solved again at a hundredth of the tolerance. Memory does not grow with
-    the number of runs.
+    Violated and undecided runs are solved again, at a hundredth of the tolerance and by another method, and never
+    dropped; those on which the solves disagree, and all that stay undecided, widen the intervals both ways. A random
+    sample of all runs and the worst are checked by another method too: a claim on which that changes a verdict is
+    UNDECIDED. Memory does not grow with the number of runs.
 
     Args:
         study: The study.
@@ -79,12 +81,13 @@ def verify(
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
     Lanes(study, settings, block).compile_nominal()
-    workload, evidence, ladder = Workload(), Evidence(study, worst, block), Ladder(solve, settings, block)
+    workload, evidence = Workload(), Evidence(study, worst)
+    escalation = Escalation(solve, Rungs.of(study, settings), block)
     begin, decision, look = time.perf_counter(), None, runs if until is None else LOOK
     for start in range(0, runs, look):
         part = range(start, min(start + look, runs))
         options = {"settings": settings, "workload": workload, "progress": part_of(progress, start, runs)}
-        for table in through(ladder, solve(part, **options)):
+        for table in through(escalation, solve(part, **options)):
             evidence.add(table)
             if sink is not None:
                 sink(table)
@@ -92,6 +95,6 @@ def verify(
         if decision is not None:
             break
     seconds = time.perf_counter() - begin
-    effort = Effort(tuple(ladder.climbed), tuple(ladder.defects), workload.occupancy, seconds)
+    effort = Effort(tuple(escalation.escalated), tuple(escalation.defects), workload.occupancy, seconds)
     about = {"seed": seed, "confidence": confidence, "settings": settings}
     return evidence.conclude(solve, effort, **about, is_anytime=until is not None, decision=decision)

@@ -1,0 +1,52 @@
+"""Command lines that get something again, with every option that decides it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from qsmc_jax.simulation.settings import SolverSettings
+
+
+def solver_options(settings: SolverSettings) -> list[str]:
+    """The options of `qsmc` for settings that are not the defaults, to the last digit.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> from qsmc_jax.campaign.commands import solver_options
+        >>> solver_options(qj.SolverSettings(rtol=1e-8, method="other"))
+        ['--rtol', '1e-08', '--method', 'other']
+    """
+    default = SolverSettings()
+    values = {"--rtol": float, "--max-steps": int, "--method": str}
+    options = []
+    for option, kind in values.items():
+        name = option.removeprefix("--").replace("-", "_")
+        value = kind(getattr(settings, name))
+        if value != getattr(default, name):
+            options += [option, str(value)]
+    return options
+
+
+def verify_command(
+    study_file: str, runs: int, seed: int, confidence: float, values: Mapping[str, Any], settings: SolverSettings
+) -> list[str]:
+    """The words of `qsmc verify` for so many runs of a study.
+
+    Args:
+        study_file: The study's file.
+        runs: How many.
+        seed: Their seed.
+        confidence: Confidence of each interval.
+        values: Values of the study's names that are fixed, numbers or lists of them.
+        settings: Settings of the first solve.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> from qsmc_jax.campaign.commands import verify_command
+        >>> settings = qj.SolverSettings(rtol=1e-7)
+        >>> " ".join(verify_command("a.py", 100, 1, 0.99, {"mu": 2.0, "x0": [0.5, 0.1]}, settings))
+        'qsmc verify a.py --runs 100 --seed 1 --confidence 0.99 -S mu=2.0 -S x0=0.5,0.1 --rtol 1e-07'
+    """
+    words = ["qsmc", "verify", study_file, "--runs", str(runs), "--seed", str(seed), "--confidence", str(confidence)]
+    for name, value in values.items():
+        words += ["-S", f"{name}={','.join(map(str, value if isinstance(value, list) else [value]))}"]
+    return words + solver_options(settings)

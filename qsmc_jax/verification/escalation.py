@@ -1,0 +1,156 @@
+"""Escalation: no violated or undecided run is believed at the first solve, none is dropped, none outvoted."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.study.runs import CLAIMS, Runs, concatenate, replace_rows
+from qsmc_jax.verification.rungs import RUNGS, Rungs
+
+# By how much `peak_u` may exceed its bound before it counts as a breach: what solving and interpolating at the default
+# tolerance explain, and no more.
+_BREACH_RTOL, _BREACH_ATOL = 1e-2, 1e-6
+
+# Rungs that must say it: a run that HELD is one in which nothing was found, by as many solves as nobody doubts.
+_VOICES = {Verdict.HELD: 1, Verdict.VIOLATED: 2, Verdict.INADMISSIBLE: 1}
+
+# Figures of a run that are facts of any solve, whatever another one says.
+_FACTS = ("end_time", "least_gain", "largest_disturbance")
+
+
+class Escalation:
+    """Solves doubtful runs again, on up to two firmer rungs, until they agree.
+
+    A run is VIOLATED if two rungs say so and none that it HELD. Once two rungs disagree, it is decided only by two that
+    share no method (in a sampled loop: no cells) and agree, rung 2 being one of them; else it is UNDECIDED. An
+    UNDECIDED run is solved on until a rung decides it. A peak above what the comparison lemma allows says nothing, and
+    on the last rung is a defect of the simulator. Each claim is decided so on its own, all of them only where the
+    funnel claim is.
+
+    The rows get a column `rung`: the last solve that agrees with what was decided, whose figures they carry.
+
+    Attributes:
+        escalated: How many runs were solved on rung 1, 2.
+        defects: Indices of runs whose peak stayed above the bound; they are UNDECIDED.
+    """
+
+    def __init__(self, solve: Callable[..., Iterator[Runs]], rungs: Rungs, block: int):
+        """Nothing solved yet.
+
+        Args:
+            solve: `stream` of the study, to be called with indices, `settings` and `block`.
+            rungs: Settings of each rung.
+            block: Rows to wait for before they are solved again together.
+        """
+        self.escalated = [0, 0]
+        self.defects: list[int] = []
+        self._solve, self._rungs, self._block = solve, rungs, block
+        self._waiting: list[Runs] = []
+
+    def feed(self, table: Runs) -> Iterator[Runs]:
+        """Yields the rows that need no second look, and whatever has been decided meanwhile, in no particular order."""
+        doubtful = is_open([said(table)])
+        if not doubtful.all():
+            yield _with(table.take(~doubtful), rung=np.zeros(int((~doubtful).sum()), np.int64))
+        if doubtful.any():
+            self._waiting.append(table.take(doubtful))
+        if sum(map(len, self._waiting)) >= self._block:
+            yield from self.finish()
+
+    def finish(self) -> Iterator[Runs]:
+        """Decides the rows still waiting, as far as the rungs can, and yields them."""
+        if self._waiting:
+            table = concatenate(self._waiting)
+            self._waiting = []
+            yield self._escalate(table)
+
+    def _escalate(self, table: Runs) -> Runs:
+        tables, verdicts = [table], [said(table)]
+        for rung in range(1, RUNGS):
+            rows = np.flatnonzero(is_open(verdicts))
+            if not len(rows):
+                break
+            self.escalated[rung - 1] += len(rows)
+            again = concatenate(list(self._solve(table["index"][rows], **self._rungs.options(rung))))
+            tables.append(replace_rows(tables[-1], rows, again))
+            verdicts.append(np.full_like(verdicts[0], Verdict.UNDECIDED))
+            verdicts[-1][:, rows] = said(again)
+        decided = _decided(tables, verdicts)
+        is_defect = breaches_bound(tables[-1]) & (decided["verdict"] == Verdict.UNDECIDED)
+        self.defects.extend(table["index"][is_defect].tolist())
+        return decided
+
+
+def said(table: Runs) -> Int[np.ndarray, "claims rows"]:
+    """What one solve says of each claim: nothing where its peak is above what the comparison lemma allows."""
+    return np.where(breaches_bound(table), int(Verdict.UNDECIDED), np.array([table[claim] for claim in CLAIMS]))
+
+
+def agreed(verdicts: Sequence[np.ndarray]) -> Int[np.ndarray, "..."]:
+    """What the rungs so far decide together; UNDECIDED where they don't.
+
+    Args:
+        verdicts: Verdicts by rung, from rung 0 on, arrays of one shape; UNDECIDED where a rung was not asked.
+    """
+    by_rung = np.array(verdicts)
+    decided = np.full_like(by_rung[0], Verdict.UNDECIDED)
+    for verdict, voices in _VOICES.items():
+        says = by_rung == verdict
+        is_alone = (says.sum(axis=0) >= voices) & ~_disagree(by_rung)
+        # Rungs 0 and 1 share their method, so that of two that agree against a third one must be rung 2.
+        is_double = says[:2].any(axis=0) & says[2:].any(axis=0)
+        decided[is_alone | is_double] = verdict
+    return decided
+
+
+def is_open(verdicts: Sequence[Int[np.ndarray, "claims rows"]]) -> Bool[np.ndarray, " rows"]:
+    """Rows to be solved on the next rung, if there is one.
+
+    The funnel claim must be decided. The later ones may be UNDECIDED for good, by a horizon that is too short, and are
+    open only where a rung says something that is not yet to be believed.
+    """
+    is_undecided = agreed(verdicts) == Verdict.UNDECIDED
+    says_something = (np.array(verdicts) != Verdict.UNDECIDED).any(axis=0)
+    return is_undecided[0] | (is_undecided & says_something).any(axis=0)
+
+
+def breaches_bound(table: Runs) -> Bool[np.ndarray, " rows"]:
+    """Rows that HELD with a higher peak than the comparison lemma allows, where its premise on g holds."""
+    allowed = table["peak_u_bound"] * (1.0 + _BREACH_RTOL) + _BREACH_ATOL
+    return (table["verdict"] == Verdict.HELD) & (table["least_gain"] > 0.0) & (table["peak_u"] > allowed)
+
+
+def _disagree(by_rung: np.ndarray) -> np.ndarray:
+    """Where two rungs say different things."""
+    return np.sum([(by_rung == verdict).any(axis=0) for verdict in _VOICES], axis=0) > 1
+
+
+def _decided(tables: Sequence[Runs], verdicts: Sequence[np.ndarray]) -> Runs:
+    """The rows with what was decided, each with the figures of the last rung that agrees with it."""
+    decided = agreed(verdicts)
+    rung = np.full(decided.shape[1], len(tables) - 1, np.int64)
+    for is_wanted in (lambda each: each[0] == decided[0], lambda each: (each == decided).all(axis=0)):
+        for number, each in enumerate(verdicts):
+            rung[is_wanted(each)] = number
+    columns = {name: np.choose(rung, [table[name] for table in tables]) for name in tables[0]}
+    disputed = (decided[0] == Verdict.UNDECIDED) & _disagree(np.array(verdicts))[0]
+    rung[disputed] = len(tables) - 1
+    decided[:, disputed] = Verdict.UNDECIDED
+    columns.update(zip(CLAIMS, decided, strict=True))
+    return _disowned(_with(Runs(columns, tables[0].names), rung=rung), disputed)
+
+
+def _disowned(table: Runs, disputed: Bool[np.ndarray, " rows"]) -> Runs:
+    """The table without the figures of disputed rows, of which no solve is known to be right."""
+    columns = {}
+    for name, column in table.columns.items():
+        is_figure = np.issubdtype(column.dtype, np.floating) and name not in (*table.names, *_FACTS)
+        columns[name] = np.where(disputed, np.nan, column) if is_figure else column
+    columns["outcome"] = np.where(disputed, int(Outcome.SOLVES_DISAGREE), table["outcome"])
+    return Runs(columns, table.names)
+
+
+def _with(table: Runs, **columns: np.ndarray) -> Runs:
+    return Runs({**table.columns, **columns}, table.names)

@@ -1,0 +1,75 @@
+"""The solves that a run may get until it is decided, and the one that checks it."""
+
+import dataclasses
+from typing import Any
+
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.stiffness import OTHER
+from qsmc_jax.study.lanes import LANE_MULTIPLE
+from qsmc_jax.study.study import Study
+
+# Rungs that decide; one more only checks.
+RUNGS = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Rungs:
+    """The settings of each solve.
+
+    Rung 0 is the solve of the study. Rung 1 has a hundredth of its tolerance. Rung 2 is independent of both, and so is
+    rung 3 of rung 2, which decides nothing: it checks what rung 2 decided.
+
+    Attributes:
+        settings: Settings by rung, four of them.
+        is_sampled: Whether the loop is sampled: solved by one method, so that only other cells make another solve.
+    """
+
+    settings: tuple[SolverSettings, ...]
+    is_sampled: bool
+
+    @classmethod
+    def of(cls, study: Study, settings: SolverSettings) -> "Rungs":
+        """The rungs above the given settings.
+
+        Args:
+            study: The study.
+            settings: Settings of its first solve.
+        """
+        is_sampled = study.nominal.loop.implementation is not None
+        second = independent(settings, is_sampled)
+        # A method of its own for the ideal loop: neither of those that the rungs below have, whichever it was.
+        third = firmer(second) if is_sampled else second.replace(method="rodas4")
+        return cls((settings, firmer(settings), second, third), is_sampled)
+
+    def options(self, rung: int) -> dict[str, Any]:
+        """Arguments of `stream` for a rung: another program is compiled for few lanes, as few runs come to it.
+
+        Args:
+            rung: Which, from 0.
+        """
+        settings = self.settings[rung]
+        is_same_program = settings.choices == self.settings[0].choices
+        return {"settings": settings} if is_same_program else {"settings": settings, "block": LANE_MULTIPLE}
+
+    def check_of(self, rung: int) -> int:
+        """The rung that checks what was decided on one: at least as firm, and by another method or other cells.
+
+        Args:
+            rung: The rung that decided, 0, 1 or 2.
+        """
+        return rung + 1 if self.is_sampled else max(rung + 1, RUNGS - 1)
+
+
+def firmer(settings: SolverSettings) -> SolverSettings:
+    """The same method at a hundredth of the tolerance."""
+    return settings.replace(rtol=settings.rtol / 100.0, atol=settings.atol / 100.0)
+
+
+def independent(settings: SolverSettings, is_sampled: bool) -> SolverSettings:
+    """A solve that shares no step with rungs 0 and 1, firmer than rung 0, and with ten times as many to spend.
+
+    The ideal loop is solved by the other method, explicit against implicit, in the funnel coordinate. A sampled loop
+    has one method: its cells are made others by a tolerance that is a hundredth of rung 1's.
+    """
+    firm = firmer(settings).replace(max_steps=10 * settings.max_steps)
+    return firmer(firm) if is_sampled else firm.replace(method=OTHER[settings.method], coordinates="funnel")
