@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
-from jaxtyping import Array
 
 from qsmc_jax.numerics import intervals
 from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, everything, hull, interval, is_point, truth
@@ -74,7 +73,10 @@ class _Walk:
     def run(self, jaxpr: Jaxpr, consts: Sequence[Any], arguments: Sequence[Enclosed]) -> list[Enclosed]:
         known: dict[Any, Enclosed] = dict(zip(jaxpr.constvars, consts, strict=True))
         known.update(zip(jaxpr.invars, arguments, strict=True))
-        read = lambda var: var.val if isinstance(var, Literal) else known[var]  # noqa: E731
+
+        def read(var: Any) -> Enclosed:
+            return jnp.asarray(var.val, var.aval.dtype) if isinstance(var, Literal) else known[var]
+
         for eqn in jaxpr.eqns:
             known.update(zip(eqn.outvars, self._results(eqn, [read(var) for var in eqn.invars]), strict=True))
         return [read(var) for var in jaxpr.outvars]
@@ -203,7 +205,7 @@ class _Walk:
 
     def _convert(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Enclosed:
         (value,), new = operands, eqn.params["new_dtype"]
-        if new == bool:
+        if jnp.issubdtype(new, jnp.bool_):
             return value if isinstance(value, Truth) else RULES["ne"](self.rounding, value, 0)
         ends = interval(value)
         if jnp.issubdtype(new, jnp.integer):
@@ -291,7 +293,7 @@ def _as_pairs(values: Sequence[Enclosed]) -> list[Any]:
     return [truth(value) if is_truth else interval(value) for value in values]
 
 
-def _where_possible(possible: Array, case: Enclosed) -> Enclosed:
+def _where_possible(possible: Any, case: Enclosed) -> Enclosed:
     """The case, or what adds nothing to a hull where it is not possible."""
     if isinstance(case, Truth) or interval(case).lo.dtype == bool:
         case = truth(case)
@@ -307,15 +309,15 @@ def _reduced_truth(eqn: JaxprEqn, operands: list[Truth]) -> Truth:
     return Truth(some(value.may, axis=axes), every(value.may_not, axis=axes))
 
 
-def _most(like: Array) -> Any:
+def _most(like: Any) -> Any:
     return math.inf if _is_real(like) else jnp.iinfo(jnp.result_type(like)).max
 
 
-def _least(like: Array) -> Any:
+def _least(like: Any) -> Any:
     return -math.inf if _is_real(like) else jnp.iinfo(jnp.result_type(like)).min
 
 
-def _extreme(like: Array, sign: int) -> Any:
+def _extreme(like: Any, sign: int) -> Any:
     """The largest number of an array's type, or the least."""
     if _is_real(like):
         return sign * jnp.inf

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from qsmc_jax.numerics.rounding import Rounding
 
@@ -22,20 +21,15 @@ from qsmc_jax.numerics.rounding import Rounding
 class Interval(NamedTuple):
     """All arrays that lie between two, entry by entry."""
 
-    lo: Array
-    hi: Array
+    lo: Any
+    hi: Any
 
 
 class Truth(NamedTuple):
     """What a comparison of intervals can be, entry by entry."""
 
-    may: Array
-    may_not: Array
-
-    @property
-    def is_open(self) -> Array:
-        """Whether it can be either."""
-        return self.may & self.may_not
+    may: Any
+    may_not: Any
 
 
 Enclosed: TypeAlias = Any  # an array, an Interval or a Truth
@@ -80,7 +74,7 @@ def hull(values: list[Enclosed]) -> Enclosed:
     return Interval(ft.reduce(jnp.minimum, [e.lo for e in ends]), ft.reduce(jnp.maximum, [e.hi for e in ends]))
 
 
-def _any(values: list[Array]) -> Array:
+def _any(values: list[Any]) -> Any:
     return ft.reduce(jnp.logical_or, values)
 
 
@@ -123,7 +117,7 @@ def multiply(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval
     return rounding(Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends)))
 
 
-def _times(a: Array, b: Array) -> Array:
+def _times(a: Any, b: Any) -> Any:
     if not jnp.issubdtype(jnp.result_type(a), jnp.inexact):
         return a * b
     product = a * b
@@ -183,7 +177,7 @@ def _pow(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
 
 # Functions that grow, or turn once
 
-_GROWING: dict[str, tuple[Callable[[Array], Array], float, float]] = {
+_GROWING: dict[str, tuple[Callable[[Any], Any], float, float]] = {
     "exp": (jnp.exp, -math.inf, math.inf),
     "exp2": (jnp.exp2, -math.inf, math.inf),
     "expm1": (jnp.expm1, -math.inf, math.inf),
@@ -205,7 +199,7 @@ _GROWING: dict[str, tuple[Callable[[Array], Array], float, float]] = {
 
 
 def _grow(
-    function: Callable[[Array], Array], low: float, high: float, rounding: Rounding, a: Interval, **_: Any
+    function: Callable[[Any], Any], low: float, high: float, rounding: Rounding, a: Interval, **_: Any
 ) -> Interval:
     inside = Interval(jnp.clip(a.lo, low, high), jnp.clip(a.hi, low, high))
     return rounding(Interval(function(inside.lo), function(inside.hi)), units=8)
@@ -248,7 +242,7 @@ def _cos(rounding: Rounding, a: Interval, **_: Any) -> Interval:
     return _wave(rounding, a, jnp.cos, 0.0)
 
 
-def _wave(rounding: Rounding, a: Interval, function: Callable[[Array], Array], crest: float) -> Interval:
+def _wave(rounding: Rounding, a: Interval, function: Callable[[Any], Any], crest: float) -> Interval:
     """Sine or cosine, whose crests lie at `crest` turns: the ends, and the extremes between them."""
     ends = function(a.lo), function(a.hi)
     known = rounding(Interval(jnp.minimum(*ends), jnp.maximum(*ends)), units=8)
@@ -257,7 +251,7 @@ def _wave(rounding: Rounding, a: Interval, function: Callable[[Array], Array], c
     return Interval(low, jnp.where(has_crest, 1.0, jnp.minimum(known.hi, 1.0)))
 
 
-def _meets(a: Interval, turns: float) -> Array:
+def _meets(a: Interval, turns: float) -> Any:
     """Whether an angle equal to `turns` full turns, and any number more, lies in the interval; yes in doubt."""
     low, high = (end / (2.0 * math.pi) - turns for end in a)
     slack = 1e-9 + 1e-15 * (jnp.abs(low) + jnp.abs(high))
@@ -284,7 +278,7 @@ def _atan2(rounding: Rounding, y: Enclosed, x: Enclosed, **_: Any) -> Interval:
 # Steps
 
 
-def _step(function: Callable[[Array], Array], rounding: Rounding, a: Interval, **params: Any) -> Interval:
+def _step(function: Callable[[Any], Any], rounding: Rounding, a: Interval, **params: Any) -> Interval:
     return Interval(function(a.lo), function(a.hi))
 
 

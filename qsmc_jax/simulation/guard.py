@@ -143,7 +143,7 @@ def _gain(loop: ClosedLoop, step: Step, at: Path) -> tuple[RealScalarLike, RealS
 def _discontinuity(loop: ClosedLoop, step: Step) -> RealScalarLike:
     """By how much the sliding variable jumps in the step, or just before it, since the reference does.
 
-    A derivative that rises by more than the next one allows has jumped, and the plant with it, or is not the derivative.
+    A derivative that rises by more than the next one allows has jumped, and the plant with it, or that is not its own.
     """
     if is_consistent(loop.reference):
         return 0.0

@@ -24,7 +24,7 @@ from qsmc_jax.simulation.tsit5 import derivative_at_start
 ESCAPE = 30.0
 # |s| beyond which a candidate step is refused rather than kept: cosh(s) sinh(s) stays far from overflow.
 FARTHEST = 2.0 * ESCAPE
-_STABLE = float(__import__('os').environ.get('STABLE','3.3'))
+_STABLE = float(__import__("os").environ.get("STABLE", "3.3"))
 
 
 class Run(eqx.Module):
@@ -134,9 +134,7 @@ def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
     return problem.fence(problem.coordinates.vector_field(t, y, problem.loop))
 
 
-def _decay(
-    problem: Problem, t0: RealScalarLike, t1: RealScalarLike, y1: Scalars, s1: RealScalarLike
-) -> RealScalarLike:
+def _decay(problem: Problem, t0: RealScalarLike, t1: RealScalarLike, y1: Scalars, s1: RealScalarLike) -> RealScalarLike:
     r"""By how much a deviation of s decays within a step, $h |g| \frac{\pi}{2\rho} \cosh 2s$ [-]."""
     loop = problem.loop
     gain = loop.plant.gain(t1, problem.coordinates.state(loop, t1, y1))

@@ -54,7 +54,7 @@ class Outcome(enum.IntEnum):
 _ADVICE = {
     Outcome.COMPLETED: "Solved to the end of the horizon.",
     Outcome.LEFT_FUNNEL: "The sliding variable reached the funnel's edge where the input does not push back: look at "
-    "`least_gain` (a wrong `gain_sign`, or a gain that vanishes) for the broken premise.",
+    "`least_gain` (a wrong `gain_sign`, or a gain that vanishes) for the broken premise; or the reference jumped.",
     Outcome.STARTED_OUTSIDE: "The start is not inside the funnel, |sigma(0)| >= rho(0): enlarge `rho0` or move `x0`.",
     Outcome.BAD_PARAMETERS: "A drawn parameter breaks a premise: rho0, mu and rho_inf must be positive, and the "
     "surface Hurwitz.",
@@ -66,8 +66,8 @@ _ADVICE = {
     "back: the disturbance or drift is huge against the gain.",
     Outcome.LOST: "Left the funnel for good, a thousand of its widths away, and was not followed further: sample "
     "faster, or allow more input.",
-    Outcome.UNRESOLVED: "The drift, gain, disturbance or reference may do something within the shortest step that could "
-    "not be ruled out: it has no bound there, or the reference jumps and the plant with it.",
+    Outcome.UNRESOLVED: "What the drift, gain, disturbance or reference may do within the shortest step could not be "
+    "ruled out: one has no bound there, or the reference jumps and the plant with it.",
     Outcome.QUEUE_FULL: "The delay is longer than the samples that can be under way: raise `queue` of the "
     "`Implementation` above the delay over the period.",
     Outcome.SOLVES_DISAGREE: "One solve says that the run held and another that it was violated, and no two "

@@ -21,6 +21,8 @@ _STRETCH = 1e-3
 _SAME_TIME = 1e-13
 # A step of so many units in the last place of time, relative to it, is the shortest.
 _SHORTEST = 8.0 * float(np.finfo(float).eps)
+# So is one of this part of the first, at time 0, where time itself resolves any.
+_LEAST = 1e-20
 # Power of what a step hides that counts as an error: the step then changes by about its root.
 _STEEPNESS = 4
 # What a run ends with whose shortest step still hides something.
@@ -77,8 +79,8 @@ class StepSize(dfx.AbstractStepSizeController):
         # An error of zero says nothing of how the next step should be.
         told = jnp.where(is_kept & (error > 0.0), error, jnp.where(is_kept, 1.0, last))
         # A step that is refused though time resolves none much shorter is the last one.
-        is_last = ~is_kept & (t1 - t0 <= _SHORTEST * jnp.abs(t1))
-        cause = dfx.RESULTS.where(y_error.hidden < 1.0, dfx.RESULTS.dt_min_reached, UNRESOLVED)
+        is_last = ~is_kept & (t1 - t0 <= jnp.maximum(_SHORTEST * jnp.abs(t1), _LEAST * self.first))
+        cause = dfx.RESULTS.where(y_error.local < 1.0, UNRESOLVED, dfx.RESULTS.dt_min_reached)
         result = dfx.RESULTS.where(is_last, cause, dfx.RESULTS.successful)
         return is_kept, start, self._end(start, (t1 - t0) * factor), made_jump, told, result
 
