@@ -167,7 +167,8 @@ def run(
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    figures, _ = solve(pose(made.loop, bandwidth, settings), x0, jnp.asarray(made.t1), settings)
+    problem = pose(made.loop, bandwidth, settings)
+    figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
 
 
