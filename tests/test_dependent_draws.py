@@ -94,6 +94,22 @@ def compare(study, is_right):
         assert (run.verdict, run.outcome) == (runs["verdict"][index], runs["outcome"][index])
 
 
+def test_a_run_that_makes_no_loop_is_replayed_as_inadmissible_too():
+    """A log-uniform number from below 0 is NaN, which no disturbance takes."""
+    study = study_of(CASES["log_uniform, low"][0], ENGINES["sampled"])
+    starts = 2.0 * qj.Random().points(0, range(BLOCK), study.dimension)[:, 0]
+    run = study.replay(int(np.argmin(starts)))
+    assert starts.min() < 0.5
+    assert (run.verdict, run.outcome) == (qj.Verdict.INADMISSIBLE, qj.Outcome.BAD_PARAMETERS)
+
+
+def test_other_mistakes_in_a_run_are_told():
+    study = study_of(lambda d, a: qj.Funnel(a - 0.5, 1.0, 0.1)(0.0), ENGINES["ideal"])
+    starts = 2.0 * qj.Random().points(0, range(BLOCK), study.dimension)[:, 0]
+    with pytest.raises(ValueError, match="Argument `rho0` must be positive"):
+        study.replay(int(np.argmin(starts)))
+
+
 def test_the_advice_names_the_distribution():
     assert "a distribution has arguments out of range in this run" in qj.Outcome.BAD_PARAMETERS.advice
 

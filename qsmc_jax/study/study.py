@@ -126,6 +126,9 @@ class Study:
     ) -> Trajectory:
         """Solves run `index` of a Monte Carlo study again, in full.
 
+        A run in which a distribution has arguments out of range is INADMISSIBLE and not begun; where it makes no loop,
+        the nominal one stands in the result.
+
         Args:
             index: Index of the run, as in the column `index`.
             seed: Seed of the study.
@@ -134,7 +137,13 @@ class Study:
             settings: Method and tolerances; None for the defaults.
         """
         draw = PointDraw((sampling or Random()).points(seed, [index], self.dimension)[0], self.values)
-        return self._simulate(_call(self.scenario, draw), ts, settings, draw.is_valid)
+        try:
+            made = _call(self.scenario, draw)
+        except ValueError:
+            if draw.is_valid:
+                raise
+            made = self.nominal
+        return self._simulate(made, ts, settings, draw.is_valid)
 
     def simulate(
         self, *, ts: Float[np.ndarray, " times"] | None = None, settings: SolverSettings | None = None
