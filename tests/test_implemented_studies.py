@@ -19,7 +19,7 @@ EXPECTED = {
     "example1_implemented": {
         "sample_period": (0.031, 0.09, 2.0),
         "saturation": (3.75, 0.6, 3.0),
-        "noise": (0.03, 0.06, 2.0),
+        "noise": (0.028, 0.06, 2.0),
         "delay": (0.017, 0.06, 3.0),
         "lag": (0.13, 0.3, 4.0),
     },

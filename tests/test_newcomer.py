@@ -57,3 +57,4 @@ def test_doctor_says_what_there_is_and_tries_a_solve():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     for part in ("python 3.", "jax 0.", "devices: cpu", "cores:", "default is float32", "Example 1 of the paper: HELD"):
         assert part in done.stdout
+    assert "elementary functions under the batches' compiler options: right" in done.stdout

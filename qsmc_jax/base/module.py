@@ -18,10 +18,21 @@ class AbstractModule(eqx.Module):
 
     Number fields are declared with `float_field()`; everything else is static and hashable. After construction each
     array field is compared with its annotation: a shape that does not fit is refused by name.
+
+    A class of the package is abstract, and named so, or final: what is solved and judged is the class as it is written
+    here, not a method that a subclass puts in its place.
     """
 
     # How to come by one; added to the message where something else is given instead.
     remedy: ClassVar[str] = ""
+    # What is possible where one would derive a class from a final one; added to that message.
+    instead: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **kwargs: Any):
+        super().__init_subclass__(**kwargs)
+        for base in cls.__mro__[1:]:
+            if _is_ours(base) and not _is_abstract(base):
+                raise TypeError(_final(cls.__name__, base))
 
     def __check_init__(self):
         require_fields(self)
@@ -42,6 +53,24 @@ def require_fields(module: AbstractModule) -> None:
             require(fits, f"Argument `{name}` of `{owner}` must be {_RANKS[rank]}, but has shape {np.shape(value)}.")
         if kind is not None and not (value is None and type(None) in get_args(hint)):
             require_kind(f"{name}` of `{owner}", value, kind, kind.remedy)
+
+
+def _is_ours(kind: type) -> bool:
+    return issubclass(kind, AbstractModule) and kind.__module__.split(".")[0] == __name__.split(".")[0]
+
+
+def _is_abstract(kind: type) -> bool:
+    return kind.__name__.lstrip("_").startswith("Abstract")
+
+
+def _final(name: str, base: type[AbstractModule]) -> str:
+    """The message for a class that is derived from a final one."""
+    interfaces = [kind for kind in base.__mro__ if _is_ours(kind) and _is_abstract(kind) and kind is not AbstractModule]
+    refusal = f"Class `{name}` must not be derived from `{base.__name__}`, which is final."
+    if not interfaces:
+        return f"{refusal} {base.instead or f'Keep a `{base.__name__}` in a field instead.'}"
+    derive = f"Derive it from `{interfaces[0].__name__}` of `{interfaces[0].__module__}`"
+    return f"{refusal} {derive}, and keep a `{base.__name__}` in a field if need be. {base.instead}".rstrip()
 
 
 @ft.lru_cache(maxsize=256)

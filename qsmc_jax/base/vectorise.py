@@ -23,6 +23,7 @@ _FAST = {
 }
 _ENTERED = {
     prims.jit_p,
+    prims.call_p,
     prims.closed_call_p,
     prims.remat_p,
     prims.cond_p,
@@ -30,6 +31,7 @@ _ENTERED = {
     prims.while_p,
     prims.custom_jvp_call_p,
     prims.custom_vjp_call_p,
+    prims.linear_solve_p,
 }
 
 _REWRITTEN: weakref.WeakKeyDictionary[core.ClosedJaxpr, core.ClosedJaxpr] = weakref.WeakKeyDictionary()
@@ -39,9 +41,10 @@ def vectorised(fn: Callable[..., Any]) -> "_Vectorised":
     """The same function with its float64 `sin`, `cos`, `tan` and `arctan` replaced by those of `elementary`.
 
     For a function called inside `jit`, such as the vector field of an ODE: each call traces it, rewrites the program
-    that came out, through `jit`, `cond`, `scan`, `while_loop`, `checkpoint` and custom derivatives, and runs it. Other
-    things (a sharded map, a kernel, a callback) are left as they are, and so are other dtypes, and everything where
-    JAX's default backend at the time of the call is no CPU. Values differ in the last places; derivatives are exact.
+    that came out, through `jit`, `cond`, `scan`, `while_loop`, `checkpoint`, custom derivatives and linear solves, and
+    runs it. Other things (a sharded map, a kernel, a callback) are left as they are, and so are other dtypes, and
+    everything where JAX's default backend at the time of the call is no CPU: `is_vectorised` tells whether any is left.
+    Values differ in the last places; derivatives are exact.
 
     Args:
         fn: Any function that `jit` could trace. Arguments may be pytrees with leaves that are not arrays, such as
@@ -52,6 +55,15 @@ def vectorised(fn: Callable[..., Any]) -> "_Vectorised":
         equal, so that `jit` does not compile twice.
     """
     return _Vectorised(fn)
+
+
+def is_vectorised(program: core.ClosedJaxpr) -> bool:
+    """Whether no float64 `sin`, `cos`, `tan` or `arctan` of JAX is left in a program, wherever it may hide.
+
+    Args:
+        program: What `jax.make_jaxpr` or `jax.jit(fn).trace(...).jaxpr` gives.
+    """
+    return not any(_is_slow(equation) or _holds_slow(equation) for equation in program.jaxpr.eqns)
 
 
 class _Vectorised(AbstractModule):
@@ -78,7 +90,8 @@ def _rewritten(part: Any) -> Any:
         case lu.WrappedFun():  # makes the program of a custom derivative, when asked
             return lu.wrap_init(ft.partial(_rewritten_rule, part), debug_info=part.debug_info)
         case tuple():
-            return tuple(_rewritten(item) for item in part)
+            items = [_rewritten(item) for item in part]
+            return type(part)(*items) if hasattr(part, "_fields") else tuple(items)  # a named tuple stays one
         case _:
             return part
 

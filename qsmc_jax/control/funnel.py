@@ -1,5 +1,7 @@
 """The funnel: the band around the sliding surface, shrinking in time, that the sliding variable must stay in."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -26,6 +28,8 @@ class Funnel(AbstractModule):
 
     Source: paper, eq. (3).
     """
+
+    instead: ClassVar[str] = "Loops are solved in and judged by this funnel only; choose `rho0`, `mu` and `rho_inf`."
 
     rho0: Float[Array, ""] = float_field()
     mu: Float[Array, ""] = float_field()

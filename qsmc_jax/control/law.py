@@ -36,6 +36,8 @@ class QuasiSlidingControl(AbstractControl):
     point the wrong way, are never used: outside, u is NaN.
     """
 
+    instead: ClassVar[str] = "A loop under a law of your own needs an `Implementation`: the ideal loop is this law's."
+
     surface: SlidingSurface
     funnel: Funnel
     gain_sign: Float[Array, ""] = float_field(default=1.0)

@@ -22,7 +22,7 @@ from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
 from qsmc_jax.control.control import Beyond
 from qsmc_jax.implementation.actuators import AbstractActuator
-from qsmc_jax.implementation.keyed import uniforms
+from qsmc_jax.implementation.keyed import Consumer, uniforms
 from qsmc_jax.implementation.noises import AbstractNoise
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.disturbances.disturbance import require_disturbances
@@ -58,7 +58,7 @@ class Jitter(AbstractModule):
 
     def __call__(self, k: RealScalarLike) -> RealScalarLike:
         """By how much sample k is late, in periods [-]."""
-        return 0.5 * self.fraction * (1.0 + uniforms(self.seed, k, 1)[0])
+        return 0.5 * self.fraction * (1.0 + uniforms(Consumer.JITTER, self.seed, k, 1)[0])
 
     def is_valid(self) -> BoolScalarLike:
         """Whether the fraction is in range: what the constructor checks, for a traced one."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require_nonnegative
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
 from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
-from qsmc_jax.implementation.keyed import normals, uniforms
+from qsmc_jax.implementation.keyed import Consumer, normals, uniforms
 from qsmc_jax.model.disturbances import AbstractDisturbance, random_sines
 from qsmc_jax.model.disturbances.disturbance import require_disturbances
 
@@ -60,7 +60,7 @@ class White(AbstractNoise):
         require_nonnegative("std", self.std)
 
     def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
-        return _scaled(self.std, normals(self.seed, k, np.shape(self.std)[0]))
+        return _scaled(self.std, normals(Consumer.WHITE, self.seed, k, np.shape(self.std)[0]))
 
     def bounds(self) -> Float[Array, " n"]:
         return jnp.where(self.std > 0.0, jnp.inf, 0.0)
@@ -95,7 +95,7 @@ class Uniform(AbstractNoise):
         require_nonnegative("amplitude", self.amplitude)
 
     def __call__(self, t: RealScalarLike, k: RealScalarLike) -> Scalars:
-        return _scaled(self.amplitude, uniforms(self.seed, k, np.shape(self.amplitude)[0]))
+        return _scaled(self.amplitude, uniforms(Consumer.UNIFORM, self.seed, k, np.shape(self.amplitude)[0]))
 
     def bounds(self) -> Float[Array, " n"]:
         return jnp.asarray(self.amplitude)

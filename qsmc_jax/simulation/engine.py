@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.fence import Fence
-from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.implementation.implementation import Implementation
@@ -44,7 +44,12 @@ def pose(loop: ClosedLoop, bandwidth: RealScalarLike, settings: SolverSettings) 
 
 
 def solve(
-    problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None = None
+    problem: Problem,
+    x0: State,
+    t1: RealScalarLike,
+    settings: SolverSettings,
+    ts: Float[Array, " times"] | None = None,
+    is_drawn_well: BoolScalarLike = True,
 ) -> tuple[Figures, tuple[Array, ...] | None]:
     """Solves one run from time 0 to `t1`.
 
@@ -54,6 +59,7 @@ def solve(
         t1: The horizon [s], positive.
         settings: Method and tolerances.
         ts: Times [s] at which to save the integrated coordinates, sorted, within [0, t1].
+        is_drawn_well: Whether what was drawn for the run had arguments in range; if not, it is refused.
 
     Returns:
         The figures, and at `ts` the coordinates (n arrays), or for a loop with an implementation the states and the
@@ -61,14 +67,19 @@ def solve(
     """
     solver = _solve_ideal if problem.loop.implementation is None else _solve_sampled
     solver = vectorised(solver) if settings.vectorise else solver
-    return solver(problem, x0, t1, settings, ts)
+    return solver(problem, x0, t1, settings, ts, is_drawn_well)
 
 
 def _solve_sampled(
-    problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
+    problem: Problem,
+    x0: State,
+    t1: RealScalarLike,
+    settings: SolverSettings,
+    ts: Float[Array, " times"] | None,
+    is_drawn_well: BoolScalarLike,
 ) -> tuple[Figures, tuple[Array, ...] | None]:
     horizon, implementation = jnp.asarray(t1), cast(Implementation, problem.loop.implementation)
-    is_fit = problem.loop.control.is_valid() & implementation.is_valid(horizon)
+    is_fit = problem.loop.control.is_valid() & implementation.is_valid(horizon) & is_drawn_well
     refused = jnp.where(is_fit, int(Outcome.COMPLETED), int(Outcome.BAD_PARAMETERS))
     course = run_sampled(problem, implementation, tuple(x0), horizon, is_fit, settings, ts)
     saved = None if course.saved is None else (*course.saved.x, course.saved.u)
@@ -76,9 +87,14 @@ def _solve_sampled(
 
 
 def _solve_ideal(
-    problem: Problem, x0: State, t1: RealScalarLike, settings: SolverSettings, ts: Float[Array, " times"] | None
+    problem: Problem,
+    x0: State,
+    t1: RealScalarLike,
+    settings: SolverSettings,
+    ts: Float[Array, " times"] | None,
+    is_drawn_well: BoolScalarLike,
 ) -> tuple[Figures, tuple[Array, ...] | None]:
-    refused = _refusal(problem, x0)
+    refused = _refusal(problem, x0, is_drawn_well)
     is_admitted = refused == Outcome.COMPLETED
     horizon = jnp.asarray(t1)
     # A refused run is given no time: it takes no step, and holds up nobody in its block.
@@ -124,13 +140,13 @@ def _first_step(problem: Problem, x0: State, run0: Run, horizon: RealScalarLike)
     return jax.lax.stop_gradient(_FIRST_STEP / (1.0 / horizon + answer))
 
 
-def _refusal(problem: Problem, x0: State) -> Int[Array, ""]:
+def _refusal(problem: Problem, x0: State, is_drawn_well: BoolScalarLike) -> Int[Array, ""]:
     """COMPLETED if the premises at the start hold, else the outcome that names the broken one."""
     control = problem.loop.control
     sigma, rho = problem.loop.sliding_variable(0.0, x0), control.funnel(0.0)
     starts_inside = jnp.abs(sigma) < rho
     code = jnp.where(starts_inside, int(Outcome.COMPLETED), int(Outcome.STARTED_OUTSIDE))
-    return jnp.where(control.is_valid(), code, int(Outcome.BAD_PARAMETERS))
+    return jnp.where(control.is_valid() & is_drawn_well, code, int(Outcome.BAD_PARAMETERS))
 
 
 def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:

@@ -57,7 +57,7 @@ _ADVICE = {
     "`least_gain` (a wrong `gain_sign`, or a gain that vanishes) for the broken premise; or the reference jumped.",
     Outcome.STARTED_OUTSIDE: "The start is not inside the funnel, |sigma(0)| >= rho(0): enlarge `rho0` or move `x0`.",
     Outcome.BAD_PARAMETERS: "A drawn parameter breaks a premise: rho0, mu and rho_inf must be positive, and the "
-    "surface Hurwitz.",
+    "surface Hurwitz; or a distribution has arguments out of range in this run, such as `low` not below `high`.",
     Outcome.MAX_STEPS: 'Gave up after `max_steps` steps. Try a larger `max_steps`, or `method="rodas5p"` for a '
     "stiff loop.",
     Outcome.STEP_TOO_SMALL: "The step size fell to the resolution of time: the drift, gain, reference or disturbance "

@@ -13,7 +13,7 @@ from qsmc_jax.base.gudermann import ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.plants import require_no_state_jumps
@@ -205,6 +205,19 @@ def simulate(
         >>> run.verdict.name, round(float(run.figures.peak_ratio), 4)
         ('HELD', 0.6323)
     """
+    return simulate_drawn(loop, x0, t1, bandwidth, ts, settings, np.True_)
+
+
+def simulate_drawn(
+    loop: ClosedLoop,
+    x0: Any,
+    t1: RealScalarLike,
+    bandwidth: RealScalarLike | None,
+    ts: Any,
+    settings: SolverSettings | None,
+    is_drawn_well: BoolScalarLike,
+) -> Trajectory:
+    """As `simulate`; refused as INADMISSIBLE unless what was drawn for it had arguments in range."""
     require_kind("loop", loop, ClosedLoop, ClosedLoop.remedy)
     settings = SolverSettings() if settings is None else settings
     bandwidth = as_float64(2.0 * loop.control.funnel.rho_inf if bandwidth is None else bandwidth)
@@ -214,7 +227,8 @@ def simulate(
     loop.control.funnel.check_bandwidth(bandwidth)
     grid = np.linspace(0.0, float(t1), _DEFAULT_TIMES) if ts is None else as_float64(ts)
     _check_times(grid, float(t1))
-    return _simulate(loop, x0, t1, bandwidth, grid, with_method(settings, loop, x0, t1))
+    settings = with_method(settings, loop, x0, t1)
+    return _simulate(loop, x0, t1, bandwidth, grid, settings, np.asarray(is_drawn_well))
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
@@ -239,9 +253,10 @@ def _simulate(
     bandwidth: RealScalarLike,
     ts: Float[Array | np.ndarray, " times"],
     settings: SolverSettings,
+    is_drawn_well: BoolScalarLike,
 ) -> Trajectory:
     problem = pose(loop, bandwidth, settings)
-    return _solve_and_sample(problem, x0, t1, ts, settings)
+    return _solve_and_sample(problem, x0, t1, ts, settings, is_drawn_well)
 
 
 @eqx.filter_jit
@@ -251,10 +266,11 @@ def _solve_and_sample(
     t1: RealScalarLike,
     ts: Float[Array | np.ndarray, " times"],
     settings: SolverSettings,
+    is_drawn_well: BoolScalarLike,
 ) -> Trajectory:
     loop = problem.loop
     start = tuple(x0[i] for i in range(loop.order))
-    figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts))
+    figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts), is_drawn_well)
     read = _signals if loop.implementation is None else _sampled_signals
     signals = jax.vmap(lambda t, y: read(problem, t, y))(jnp.asarray(ts), saved)
     has_ended = (ts > figures.end_time) | is_refused(figures.outcome)

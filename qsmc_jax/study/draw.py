@@ -6,6 +6,7 @@ names to substitute, and any run can be done again from these two.
 """
 
 import dataclasses
+import functools as ft
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -19,6 +20,9 @@ from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.study import quantiles
+
+# Standard deviations from the mean to an interval, beyond which the probability of the interval underflows.
+_REACH = 37.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +71,7 @@ class PointDraw:
         record: The value of each name, in order of appearance.
         specs: What was found about each name; filled at the nominal point only.
         dependent: Names whose bounds depend on traced values.
+        is_valid: Whether every distribution had arguments in range in this run; at the nominal point it raises instead.
     """
 
     def __init__(self, point: Float[Array | np.ndarray, " dim"] | None = None, values: Mapping[str, Any] | None = None):
@@ -80,32 +85,39 @@ class PointDraw:
         self.record: dict[str, Any] = {}
         self.specs: list[DrawSpec] = []
         self.dependent: set[str] = set()
+        self.is_valid: Any = np.True_
         self._point = point
         self._values = {} if values is None else values
         self._used = 0
 
     def parameter(self, name: str, default: RealScalarLike, *, bounds: tuple[RealScalarLike, RealScalarLike]) -> Any:
         """A named number that is fixed at `default` unless something substitutes it; takes no coordinate."""
-        low, high = _interval(name, "bounds[0]", bounds[0], "bounds[1]", bounds[1])
-        default = _number(name, "default", default)
-        if not is_traced(default, low, high):
-            _require_inside(f"default` of `{name}", default, (low, high))
+        low, high = self._interval(name, "bounds[0]", bounds[0], "bounds[1]", bounds[1])
+        require(
+            not is_traced(default),
+            f"Argument `default` of `{name}` must be a fixed number, but depends on other names of the scenario.",
+        )
+        default = self._number(name, "default", default)
+        value = self._values.get(name, default)
+        # A value that is data was compared with fixed bounds before the run.
+        if is_traced(low, high) or not is_traced(value):
+            inside = ft.partial(_require_inside, f"default` of `{name}", default, (low, high))
+            self._check((low <= value) & (value <= high), inside)
         return self._keep(name, "parameter", default, (low, high), size=0)
 
     def uniform(self, name: str, low: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Uniform on [low, high]."""
-        low, high = _interval(name, "low", low, "high", high)
+        low, high = self._interval(name, "low", low, "high", high)
         return self._take(name, "uniform", shape, (low, high), quantiles.uniform, low, high)
 
     def log_uniform(self, name: str, low: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Uniform in the logarithm on [low, high], 0 < low < high."""
-        require_positive(f"low` of `{name}", low)
-        low, high = _interval(name, "low", low, "high", high)
+        low, high = self._interval(name, "low", self._positive(name, "low", low), "high", high)
         return self._take(name, "log_uniform", shape, (low, high), quantiles.log_uniform, low, high)
 
     def normal(self, name: str, mean: RealScalarLike, std: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Normal with the given mean and standard deviation."""
-        mean, std = _number(name, "mean", mean), _positive(name, "std", std)
+        mean, std = self._number(name, "mean", mean), self._positive(name, "std", std)
         return self._take(name, "normal", shape, (-math.inf, math.inf), quantiles.normal, mean, std)
 
     def truncated_normal(
@@ -122,10 +134,12 @@ class PointDraw:
 
         For one side only, put the other 40 standard deviations away.
         """
-        mean, std = _number(name, "mean", mean), _positive(name, "std", std)
-        low, high = _interval(name, "low", low, "high", high)
-        if not is_traced(mean, std, low, high):
-            _require_mass(name, mean, std, low, high)
+        mean, std = self._number(name, "mean", mean), self._positive(name, "std", std)
+        low, high = self._interval(name, "low", low, "high", high)
+        reach = _REACH * std
+        self._check(
+            (low - mean <= reach) & (mean - high <= reach), ft.partial(_require_mass, name, mean, std, low, high)
+        )
         return self._take(
             name, "truncated_normal", shape, (low, high), quantiles.truncated_normal, mean, std, low, high
         )
@@ -134,15 +148,14 @@ class PointDraw:
         self, name: str, low: RealScalarLike, mode: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()
     ) -> Any:
         """Triangular on [low, high] with its peak at `mode`, low <= mode <= high."""
-        low, high = _interval(name, "low", low, "high", high)
-        mode = _number(name, "mode", mode)
-        if not is_traced(low, mode, high):
-            _require_inside(f"mode` of `{name}", mode, (low, high))
+        low, high = self._interval(name, "low", low, "high", high)
+        mode = self._number(name, "mode", mode)
+        self._check((low <= mode) & (mode <= high), ft.partial(_require_inside, f"mode` of `{name}", mode, (low, high)))
         return self._take(name, "triangular", shape, (low, high), quantiles.triangular, low, mode, high)
 
     def exponential(self, name: str, mean: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Exponential with the given mean."""
-        mean = _positive(name, "mean", mean)
+        mean = self._positive(name, "mean", mean)
         return self._take(name, "exponential", shape, (0.0, math.inf), quantiles.exponential, mean)
 
     def choice(self, name: str, values: Sequence[Any] | np.ndarray | Array, *, shape: tuple[int, ...] = ()) -> Any:
@@ -152,7 +165,7 @@ class PointDraw:
             array.ndim == 1 and array.size > 0,
             f"Argument `values` of `{name}` must be a list of at least one number, but has shape {array.shape}.",
         )
-        require_finite(f"values` of `{name}", array)
+        self._check((abs(array) < math.inf).all(), ft.partial(require_finite, f"values` of `{name}", array))
         levels = () if is_traced(array) else tuple(array.tolist())
         return self._take(name, "choice", shape, (array.min(), array.max()), quantiles.choice, array, levels=levels)
 
@@ -160,6 +173,33 @@ class PointDraw:
         """-1 or +1, equally likely."""
         levels = (-1.0, 1.0)
         return self._take(name, "sign", shape, levels, quantiles.choice, np.array(levels), levels=levels)
+
+    def _number(self, name: str, argument: str, value: Any) -> Any:
+        """An argument of a draw as float64: one finite number."""
+        require_shape(f"{argument}` of `{name}", value, (), "a single number")
+        number = as_float64(value)
+        self._check(abs(number) < math.inf, ft.partial(require_finite, f"{argument}` of `{name}", value))
+        return number
+
+    def _positive(self, name: str, argument: str, value: Any) -> Any:
+        """An argument of a draw as float64: one positive number."""
+        require_shape(f"{argument}` of `{name}", value, (), "a single number")
+        number = as_float64(value)
+        self._check((number > 0) & (number < math.inf), ft.partial(require_positive, f"{argument}` of `{name}", value))
+        return number
+
+    def _interval(self, name: str, low_argument: str, low: Any, high_argument: str, high: Any) -> tuple[Any, Any]:
+        """Two arguments of a draw as float64: the ends of an interval."""
+        low, high = self._number(name, low_argument, low), self._number(name, high_argument, high)
+        self._check(low < high, ft.partial(_require_below, name, low_argument, low, high_argument, high))
+        return low, high
+
+    def _check(self, holds: Any, complain: Callable[[], None]) -> None:
+        """Raises at the nominal point, by `complain`, unless it holds; in a run, and of what is traced, takes note."""
+        if self._point is None and not is_traced(holds):
+            complain()
+        else:
+            self.is_valid = self.is_valid & holds
 
     def _take(
         self,
@@ -286,29 +326,13 @@ def _scalar(value: Any) -> Any:
     return value if is_traced(value) else np.asarray(value, dtype=np.float64)[()]
 
 
-def _number(name: str, argument: str, value: Any) -> Any:
-    """An argument of a draw as float64: one finite number."""
-    require_shape(f"{argument}` of `{name}", value, (), "a single number")
-    require_finite(f"{argument}` of `{name}", value)
-    return as_float64(value)
-
-
-def _positive(name: str, argument: str, value: Any) -> Any:
-    """An argument of a draw as float64: one positive number."""
-    require_positive(f"{argument}` of `{name}", value)
-    return _number(name, argument, value)
-
-
-def _interval(name: str, low_argument: str, low: Any, high_argument: str, high: Any) -> tuple[Any, Any]:
-    """Two arguments of a draw as float64: the ends of an interval."""
-    low, high = _number(name, low_argument, low), _number(name, high_argument, high)
-    if not is_traced(low, high):
-        require(
-            bool(low < high),
-            f"Argument `{low_argument}` of `{name}` must be below `{high_argument}`, but is {show(low)} "
-            f"(`{high_argument}` is {show(high)}).",
-        )
-    return low, high
+def _require_below(name: str, low_argument: str, low: Any, high_argument: str, high: Any) -> None:
+    """Raises unless the ends of an interval are in order."""
+    require(
+        bool(low < high),
+        f"Argument `{low_argument}` of `{name}` must be below `{high_argument}`, but is {show(low)} "
+        f"(`{high_argument}` is {show(high)}).",
+    )
 
 
 def _require_inside(name: str, value: Any, bounds: tuple[Any, Any], advice: str = "") -> None:
@@ -320,11 +344,11 @@ def _require_inside(name: str, value: Any, bounds: tuple[Any, Any], advice: str 
 
 def _require_mass(name: str, mean: Any, std: Any, low: Any, high: Any) -> None:
     """Raises if the interval is so far out in a tail that its probability underflows."""
-    distance = abs(np.clip(mean, low, high) - mean) / std
+    distance = max(low - mean, mean - high) / std
     require(
-        bool(distance <= 37.0),
-        f"Argument `mean` of `{name}` must be within 37 standard deviations of [low, high], but is {distance:.6g} "
-        "away. Use another distribution.",
+        bool(distance <= _REACH),
+        f"Argument `mean` of `{name}` must be within {_REACH:g} standard deviations of [low, high], but is "
+        f"{distance:.6g} away. Use another distribution.",
     )
 
 

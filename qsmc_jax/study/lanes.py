@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind
+from qsmc_jax.base.compiled import compiled
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
@@ -19,10 +20,6 @@ from qsmc_jax.simulation.stiffness import method_for, stiffness
 from qsmc_jax.study.draw import PointDraw
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
-
-# Vectors as wide as they come, where XLA for CPUs stays at half the width; and no splitting of work over cores, which
-# threads do here with whole blocks. Together they halve the time of a step.
-CPU_OPTIONS = {"xla_cpu_prefer_vector_width": "512", "xla_disable_hlo_passes": "cpu-parallel-task-assigner"}
 
 # Blocks of any multiple of this many lanes give bitwise the same rows, however the runs are cut into blocks.
 LANE_MULTIPLE = 64
@@ -51,13 +48,17 @@ class Lanes:
 
     def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
         """How stiff each of up to `count` runs will be."""
-        program = _compiled(_stiffness, self.study.scenario, self._shapes(), self.study.dimension, self.count)
+        program = self._compiled(_stiffness, numbers=0)
         with jax.enable_x64(True):
             return np.asarray(program(self._filled(points), self._values()))[: len(points)]
 
     def compile(self, method: str) -> Program:
         """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
-        return self.compile_block(_Block(self.settings.replace(method=method).choices))
+        return self.compile_block(_Block(self.choices(method)))
+
+    def choices(self, method: str) -> tuple[tuple[str, Any], ...]:
+        """Name and value of what is static in the settings of a block; `compile_block` vectorises the whole of it."""
+        return self.settings.replace(method=method, vectorise=False).choices
 
     def compile_nominal(self) -> None:
         """The program that the nominal run needs, and with it most others."""
@@ -75,13 +76,17 @@ class Lanes:
 
     def compile_block(self, block: Callable[..., Any]) -> Program:
         """The program of a block, given points, values, bandwidth and tolerances."""
-        return _compiled(block, self.study.scenario, self._shapes(), self.study.dimension, self.count, numbers=3)
+        return self._compiled(block, numbers=3)
 
     def call(self, program: Program, points: Float[np.ndarray, "runs dim"]) -> Any:
         """What such a program makes of up to `count` points, on the host; rows beyond them mean nothing."""
         numbers = np.float64(self.study.bandwidth), self.settings.rtol, self.settings.atol
         with jax.enable_x64(True):
             return jax.device_get(program(self._filled(points), self._values(), *numbers))
+
+    def _compiled(self, block: Callable[..., Any], numbers: int) -> Program:
+        study, vectorise = self.study, self.settings.vectorise
+        return _compiled(block, study.scenario, self._shapes(), study.dimension, self.count, numbers, vectorise)
 
     def _filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
         """The points, and the first again for every lane left over."""
@@ -111,15 +116,15 @@ def _compiled(
     shapes: tuple[tuple[str, tuple[int, ...]], ...],
     dim: int,
     count: int,
-    numbers: int = 0,
+    numbers: int,
+    vectorise: bool,
 ) -> Program:
     """The program of `block(scenario, points, values, *numbers)` for arguments of the given shapes."""
     with jax.enable_x64(True):
         points = jax.ShapeDtypeStruct((count, dim), np.float64)
         values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
         rest = (jax.ShapeDtypeStruct((), np.float64),) * numbers
-        program = jax.jit(block, static_argnums=0).lower(scenario, points, values, *rest)
-        return program.compile(compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None)
+        return compiled(ft.partial(block, scenario), points, values, *rest, vectorise=vectorise)
 
 
 def _stiffness(
@@ -162,7 +167,8 @@ def run(
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    figures, _ = solve(pose(made.loop, bandwidth, settings), x0, jnp.asarray(made.t1), settings)
+    problem = pose(made.loop, bandwidth, settings)
+    figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
 
 

@@ -29,7 +29,8 @@ def evaluate(quantile: Callable[..., Any], u: Any, *arguments: Any) -> Any:
     """The inverse CDF at `u`, by JAX if anything is traced."""
     if is_traced(u, arguments):
         return quantile(_JAX, _guarded(_JAX, u), *arguments)
-    return quantile(_NUMPY, _guarded(_NUMPY, np.asarray(u, dtype=np.float64)), *arguments)
+    with np.errstate(all="ignore"):  # of arguments out of range, which JAX takes without a word too
+        return quantile(_NUMPY, _guarded(_NUMPY, np.asarray(u, dtype=np.float64)), *arguments)
 
 
 def _guarded(lib: Library, u: Any) -> Any:

@@ -11,11 +11,11 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require, require_finite, require_kind
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.types import Draw
+from qsmc_jax.base.types import BoolScalarLike, Draw
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import stiffness, with_method
-from qsmc_jax.simulation.trajectory import Trajectory, check_start, simulate
+from qsmc_jax.simulation.trajectory import Trajectory, check_start, simulate_drawn
 from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
 from qsmc_jax.study.sampling import AbstractSampling, Random
 
@@ -87,7 +87,7 @@ class Study:
         require_finite("bandwidth", self.bandwidth)
         specs = _specs(self.scenario)
         values = check_values(specs, self.values)
-        nominal = self._at(None, values)
+        nominal = _call(self.scenario, PointDraw(None, values))
         nominal.loop.control.funnel.check_bandwidth(self.bandwidth)
         for name, value in {"specs": specs, "values": values, "nominal": nominal}.items():
             object.__setattr__(self, name, value)
@@ -126,6 +126,9 @@ class Study:
     ) -> Trajectory:
         """Solves run `index` of a Monte Carlo study again, in full.
 
+        A run in which a distribution has arguments out of range is INADMISSIBLE and not begun; where it makes no loop,
+        the nominal one stands in the result.
+
         Args:
             index: Index of the run, as in the column `index`.
             seed: Seed of the study.
@@ -133,8 +136,14 @@ class Study:
             ts: Times [s] at which to give the signals; None for 2001 evenly spaced.
             settings: Method and tolerances; None for the defaults.
         """
-        point = (sampling or Random()).points(seed, [index], self.dimension)[0]
-        return self._simulate(self._at(point, self.values), ts, settings)
+        draw = PointDraw((sampling or Random()).points(seed, [index], self.dimension)[0], self.values)
+        try:
+            made = _call(self.scenario, draw)
+        except ValueError:
+            if draw.is_valid:
+                raise
+            made = self.nominal
+        return self._simulate(made, ts, settings, draw.is_valid)
 
     def simulate(
         self, *, ts: Float[np.ndarray, " times"] | None = None, settings: SolverSettings | None = None
@@ -145,15 +154,14 @@ class Study:
             ts: Times [s] at which to give the signals; None for 2001 evenly spaced.
             settings: Method and tolerances; None for the defaults.
         """
-        return self._simulate(self.nominal, ts, settings)
+        return self._simulate(self.nominal, ts, settings, np.True_)
 
-    def _simulate(self, scenario: Scenario, ts: Any, settings: SolverSettings | None) -> Trajectory:
+    def _simulate(
+        self, scenario: Scenario, ts: Any, settings: SolverSettings | None, is_drawn_well: BoolScalarLike
+    ) -> Trajectory:
         loop, x0, t1 = scenario.loop, scenario.x0, scenario.t1
         settings = with_method(settings or SolverSettings(), loop, x0, t1, self.stiffness)
-        return simulate(loop, x0, t1, bandwidth=self.bandwidth, ts=ts, settings=settings)
-
-    def _at(self, point: np.ndarray | None, values: Mapping[str, Any]) -> Scenario:
-        return _call(self.scenario, PointDraw(point, values))
+        return simulate_drawn(loop, x0, t1, self.bandwidth, ts, settings, is_drawn_well)
 
 
 def require_study(study: Any, name: str = "study") -> None:

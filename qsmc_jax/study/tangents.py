@@ -68,8 +68,7 @@ def differentiate(
         The figures and derivatives, on the host.
     """
     lanes = Lanes(study, settings, block)
-    choices = settings.replace(method=lanes.nominal_method).choices
-    program = lanes.compile_block(_Block(choices, names, metrics))
+    program = lanes.compile_block(_Block(lanes.choices(lanes.nominal_method), names, metrics))
     chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
 
     def solve(chunk: np.ndarray) -> list[np.ndarray]:

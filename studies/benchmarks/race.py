@@ -22,9 +22,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import qsmc_jax as qj
+from qsmc_jax.base.compiled import compiled
 from qsmc_jax.simulation import engine
 from qsmc_jax.study.draw import PointDraw
-from qsmc_jax.study.lanes import CPU_OPTIONS
 
 RHO_INF = (0.05, 0.005, 0.0005)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -221,7 +221,7 @@ def gradient_cost(runs: int, repeats: int) -> dict[str, float]:
 
     times: list[list[float]] = [[], []]
     with jax.enable_x64(True):
-        programs = [jax.jit(f).lower(gains, rtol).compile(compiler_options=CPU_OPTIONS) for f in (mean, gradient)]
+        programs = [compiled(f, gains, rtol, vectorise=True) for f in (mean, gradient)]
         for _ in range(repeats):
             for program, taken in zip(programs, times, strict=True):
                 begin = time.perf_counter()
