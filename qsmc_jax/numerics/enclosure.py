@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxpr_as_fun
 
 from qsmc_jax.numerics import intervals
 from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, everything, hull, interval, is_point, truth
@@ -75,7 +75,7 @@ class _Walk:
         known.update(zip(jaxpr.invars, arguments, strict=True))
 
         def read(var: Any) -> Enclosed:
-            return jnp.asarray(var.val, var.aval.dtype) if isinstance(var, Literal) else known[var]
+            return jnp.asarray(var.val, _kind(var)) if isinstance(var, Literal) else known[var]
 
         for eqn in jaxpr.eqns:
             known.update(zip(eqn.outvars, self._results(eqn, [read(var) for var in eqn.invars]), strict=True))
@@ -149,8 +149,8 @@ class _Walk:
         at, knots, values = operands
         if not (is_point(knots) and is_point(values)) or np.ndim(at.lo) or np.ndim(knots) != 1:
             return None
-        program = eqn.params["jaxpr"]
-        ends = [jax.core.eval_jaxpr(program.jaxpr, program.consts, end, knots, values)[0] for end in at]
+        program = jaxpr_as_fun(eqn.params["jaxpr"])
+        ends = [program(end, knots, values)[0] for end in at]
         is_between = (knots > at.lo) & (knots < at.hi)
         low = jnp.min(jnp.where(is_between, values, jnp.inf), initial=jnp.inf)
         high = jnp.max(jnp.where(is_between, values, -jnp.inf), initial=-jnp.inf)
@@ -162,8 +162,8 @@ class _Walk:
         table, sought = operands
         if not is_point(table):
             return None
-        program = eqn.params["jaxpr"]
-        return Interval(*(jax.core.eval_jaxpr(program.jaxpr, program.consts, table, end)[0] for end in sought))
+        program = jaxpr_as_fun(eqn.params["jaxpr"])
+        return Interval(*(program(table, end)[0] for end in sought))
 
     def _select(self, which: Enclosed, cases: Sequence[Enclosed]) -> Enclosed:
         if is_point(which):
@@ -228,7 +228,7 @@ class _Walk:
     def _argmax(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
         """From the first place that can be highest, to the first that is sure to be, or the last that can."""
         low, high = interval(operands[0])
-        (axis,), kind = eqn.params["axes"], eqn.outvars[0].aval.dtype
+        (axis,), kind = eqn.params["axes"], _kind(eqn.outvars[0])
         can = high >= jnp.max(low, axis=axis, keepdims=True)
         is_sure = low >= jnp.max(high, axis=axis, keepdims=True)
         last = low.shape[axis] - 1 - jnp.argmax(jnp.flip(can, axis), axis=axis)
@@ -253,7 +253,8 @@ class _Walk:
         if all(map(is_point, places)):
             return _mapped(lambda end: _computed(eqn, [end, *places])[0], [table])
         self._note(jnp.any(jnp.stack([jnp.any(interval(place).lo != interval(place).hi) for place in places])))
-        shape, table = eqn.outvars[0].aval.shape, interval(table)
+        aval: Any = eqn.outvars[0].aval
+        shape, table = aval.shape, interval(table)
         is_reached = jnp.ones(table.lo.shape, bool)
         if np.ndim(table.lo) == 1 and len(places) == 1 and np.prod(shape) == np.size(interval(places[0]).lo) == 1:
             size = table.lo.shape[0]
@@ -323,6 +324,10 @@ def _extreme(like: Any, sign: int) -> Any:
         return sign * jnp.inf
     ends = jnp.iinfo(jnp.result_type(like))
     return jnp.asarray(ends.max if sign > 0 else ends.min, jnp.result_type(like))
+
+
+def _kind(var: Any) -> Any:
+    return var.aval.dtype
 
 
 def _is_real(value: Any) -> bool:

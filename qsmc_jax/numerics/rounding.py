@@ -1,11 +1,9 @@
 """How the ends of a computed interval are rounded."""
 
 import enum
-from typing import TypeVar
+from typing import Any
 
 import jax.numpy as jnp
-
-I = TypeVar("I", bound=tuple)  # noqa: E741  # an interval: its lower and its upper end
 
 
 class Rounding(enum.Enum):
@@ -18,11 +16,11 @@ class Rounding(enum.Enum):
     NEAREST = "nearest"
     OUTWARD = "outward"
 
-    def __call__(self, ends: I, units: int = 1) -> I:
+    def __call__(self, ends: Any, units: int = 1) -> Any:
         """The interval, widened if need be by so many units in the last place.
 
         Args:
-            ends: Lower and upper end.
+            ends: An interval, lower and upper end.
             units: Units in the last place by which either may be wrong.
         """
         if self is Rounding.NEAREST or not jnp.issubdtype(jnp.result_type(ends[0]), jnp.inexact):

@@ -41,8 +41,14 @@ class AbstractCoordinates(AbstractModule):
         """The funnel coordinate s and its derivative, given `y` and `dy`."""
 
     @abc.abstractmethod
-    def tolerances(self, size: State, settings: SolverSettings) -> Scalars:
-        """The error that one step may make in each coordinate, whose size is given."""
+    def tolerances(self, size: State, settings: SolverSettings, scale: RealScalarLike) -> Scalars:
+        """The error that one step may make in each coordinate.
+
+        Args:
+            size: The size of each.
+            settings: The tolerances.
+            scale: Factor on the absolute ones.
+        """
 
 
 class FunnelCoordinates(AbstractCoordinates):
@@ -84,9 +90,9 @@ class FunnelCoordinates(AbstractCoordinates):
     ) -> tuple[RealScalarLike, RealScalarLike]:
         return y[-1], dy[-1]
 
-    def tolerances(self, size: State, settings: SolverSettings) -> Scalars:
-        errors = (settings.atol + settings.rtol * each for each in size[:-1])
-        return (*errors, settings.funnel_atol + settings.rtol * size[-1])
+    def tolerances(self, size: State, settings: SolverSettings, scale: RealScalarLike) -> Scalars:
+        errors = (scale * settings.atol + settings.rtol * each for each in size[:-1])
+        return (*errors, scale * settings.funnel_atol + settings.rtol * size[-1])
 
 
 class PhysicalCoordinates(AbstractCoordinates):
@@ -119,9 +125,9 @@ class PhysicalCoordinates(AbstractCoordinates):
         ratio_rate = (surface(rates) - ratio * rho_rate) / rho
         return s, 0.5 * jnp.pi * sinh_cosh(s)[1] * ratio_rate
 
-    def tolerances(self, size: State, settings: SolverSettings) -> Scalars:
+    def tolerances(self, size: State, settings: SolverSettings, scale: RealScalarLike) -> Scalars:
         """A tenth of what is asked for: near the funnel's edge an error of the state is magnified in the input."""
-        return tuple(0.1 * (settings.atol + settings.rtol * each) for each in size)
+        return tuple(0.1 * (scale * settings.atol + settings.rtol * each) for each in size)
 
 
 def _errors(loop: ClosedLoop, rho: RealScalarLike, y: State) -> Scalars:

@@ -149,7 +149,7 @@ def _refusal(problem: Problem, x0: State, is_drawn_well: BoolScalarLike) -> Int[
     return jnp.where(control.is_valid() & is_drawn_well, code, int(Outcome.BAD_PARAMETERS))
 
 
-def _method(settings: SolverSettings) -> dfx.AbstractAdaptiveSolver:
+def _method(settings: SolverSettings) -> Tsit5 | Rosenbrock:
     implicit = {"rodas4": RODAS4, "rodas5p": RODAS5P}
     return Rosenbrock(implicit[settings.method]) if settings.method in implicit else Tsit5()
 

@@ -15,16 +15,19 @@ from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.numerics.unseen import Step as Stretch
 from qsmc_jax.simulation.guard import hidden
 from qsmc_jax.simulation.rosenbrock import Rosenbrock
-from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.settings import SolverSettings, small_scale
 from qsmc_jax.simulation.tally import Problem, Step, Tally, add_step
-from qsmc_jax.simulation.tsit5 import derivative_at_start
+from qsmc_jax.simulation.tsit5 import Tsit5, derivative_at_start
 
 # |s| at which a run ends: 1 - |sigma|/rho = 1e-13, an input of 5e12. Only a loop whose input does not push back gets
 # there.
 ESCAPE = 30.0
 # |s| beyond which a candidate step is refused rather than kept: cosh(s) sinh(s) stays far from overflow.
 FARTHEST = 2.0 * ESCAPE
-_STABLE = float(__import__("os").environ.get("STABLE", "3.3"))
+# Largest decay in a step of the explicit method: there it damps a deviation by half or better, and never alternates.
+_STABLE = 3.3
+# Power by which a step beyond it counts as an error.
+_STABLE_STEEPNESS = 8
 
 
 class Run(eqx.Module):
@@ -72,7 +75,7 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         settings: The tolerances.
     """
 
-    method: dfx.AbstractAdaptiveSolver
+    method: Tsit5 | Rosenbrock
     settings: SolverSettings
 
     term_structure: ClassVar = dfx.AbstractTerm
@@ -114,18 +117,20 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         unseen = hidden(args, step, (y0.y, dense["middle"], y1), (s0, s1), self.settings.rtol)
         y1, rate1 = trees.where(is_sound, (y1, rate1), (y0.y, rate0))
         tally = _ADD_STEP(args, y0.tally, Step(t0, t1, **{**dense, "y1": y1}, derivative=rate1))
-        local = self._in_tolerances(args, error, y0.y, y1)
+        local = self._in_tolerances(args, error, y0.y, y1, small_scale(tally.peak.height))
         if not isinstance(self.method, Rosenbrock):
-            local = jnp.maximum(local, (_decay(args, t0, t1, y1, s1) / _STABLE) ** 8)
+            local = jnp.maximum(local, (_decay(args, t0, t1, y1, s1) / _STABLE) ** _STABLE_STEEPNESS)
         error = StepError(jnp.where(is_sound, local, jnp.inf), unseen)
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
         return Run(y1, tally), error, {"inner": dense, "tally": tally}, rate1, result
 
-    def _in_tolerances(self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars) -> RealScalarLike:
+    def _in_tolerances(
+        self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars, scale: RealScalarLike
+    ) -> RealScalarLike:
         """The largest error, in units of what is tolerated."""
         size = tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(y0, y1, strict=True))
-        tolerances = problem.coordinates.tolerances(size, self.settings)
+        tolerances = problem.coordinates.tolerances(size, self.settings, scale)
         return ft.reduce(jnp.maximum, [jnp.abs(e) / tolerance for e, tolerance in zip(error, tolerances, strict=True)])
 
 

@@ -33,7 +33,7 @@ from qsmc_jax.simulation.sampled_tally import (
     first_cell_tally,
     first_command_tally,
 )
-from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.settings import SolverSettings, small_scale
 from qsmc_jax.simulation.tally import Problem
 
 # Bogacki and Shampine's pair of order 3(2): between samples, cells are short anyhow.
@@ -269,7 +269,7 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
     stages.append(loop.rates(right.terms, right.x, input_at(end)))
     h = end - now.t
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
-    allowed = plan.rtol * (right.rho + jnp.abs(right.sigma))
+    allowed = plan.rtol * (small_scale(course.cells.peak_ratio) * right.rho + jnp.abs(right.sigma))
     cell = Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end))
     largest = ft.reduce(jnp.maximum, map(jnp.abs, (cell.u0, cell.middle, cell.u1)))
     path = _path(now, h, x1, first, stages[-1])

@@ -15,6 +15,9 @@ from qsmc_jax.base.types import RealScalarLike
 # stiff loops at loose tolerances, steps come out some ten times worse than estimated.
 _LOOSEST_IN_FUNNEL = 3e-5
 
+# How far absolute tolerances are lowered for a run that is still close to rest.
+_SMALLEST_SCALE = 1e-12
+
 # States of an ideal run that reverse mode keeps. Of a run with more steps it solves parts again, in another program: it
 # may round otherwise, take other steps, and so differentiate another run (3 % off in the median run of Example 2).
 CHECKPOINTS = 4096
@@ -117,6 +120,14 @@ class SolverSettings(AbstractModule):
         An error in it is one of as much in sigma/rho at the funnel's centre, and relative to u at its edge.
         """
         return jnp.minimum(0.1 * self.rtol, _LOOSEST_IN_FUNNEL)
+
+
+def small_scale(largest: RealScalarLike) -> RealScalarLike:
+    """Factor on absolute tolerances while the largest |sigma|/rho so far, or |s|, is small: nothing may hide in them.
+
+    An unstable plant makes of a tiny deviation a large one, whose time and height depend on the first digits of it.
+    """
+    return jnp.clip(10.0 * largest, _SMALLEST_SCALE, 1.0)
 
 
 def tight() -> SolverSettings:
