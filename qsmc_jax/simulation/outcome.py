@@ -61,8 +61,8 @@ _ADVICE = {
     "is not finite, or jumps at a time that is not among `break_times`.",
     Outcome.BEYOND_RESOLUTION: "Came closer to the funnel's edge than float64 resolves, with the input still pushing "
     "back: the disturbance or drift is huge against the gain.",
-    Outcome.LOST: "Left the funnel for good, a thousand of its widths away, and was not followed further: sample "
-    "faster, or allow more input.",
+    Outcome.LOST: "Got a thousand funnel widths away, and was not followed further, so that later claims are open "
+    "unless they were broken before: sample faster, or allow more input.",
     Outcome.QUEUE_FULL: "The delay is longer than the samples that can be under way: raise `queue` of the "
     "`Implementation` above the delay over the period.",
 }

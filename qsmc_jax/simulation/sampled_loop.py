@@ -185,7 +185,8 @@ def _in_step(plan: Plan, carry: tuple[Course, BoolScalarLike]) -> tuple[Course, 
 def _plan(problem: Problem, implementation: Implementation, horizon: RealScalarLike, settings: SolverSettings) -> Plan:
     loop, funnel = problem.loop, problem.loop.control.funnel
     # A cell ends just before a jump, and the next one, of no length, takes it.
-    breaks = jnp.append(loop.break_times, problem.reaching_time)
+    judged_from = jnp.stack([jnp.asarray(problem.reaching_time), jnp.asarray(problem.settling_time)])
+    breaks = jnp.concatenate([loop.break_times, judged_from])
     fixed = jax.lax.stop_gradient(breaks)
     just_before = jnp.where(jnp.isfinite(fixed), jnp.nextafter(fixed, -jnp.inf) - fixed, 0.0)
     breaks = jnp.concatenate([breaks + just_before, breaks])

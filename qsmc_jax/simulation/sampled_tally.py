@@ -10,7 +10,7 @@ from qsmc_jax.base.hermite import Cubic, integral_of_square
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.simulation.instant import Cell, Instant
-from qsmc_jax.simulation.tally import OutsideStep, Problem
+from qsmc_jax.simulation.tally import OutsideStep, Problem, Span
 
 # A reversal of the command counts if it is more than this part of the range of the commands so far.
 HYSTERESIS = 0.01
@@ -63,7 +63,7 @@ class CellTally(AbstractModule):
     """The figures of the plant and its input, all scalars; see `Figures` for what becomes of them.
 
     `first_exit` is the first cell with |z| >= 1 somewhere, `last_exit` the last, `outside` the last with |sigma| >=
-    bandwidth.
+    bandwidth, `unsettled` the last in which an error reached its bound.
     """
 
     peak_ratio: RealScalarLike
@@ -72,7 +72,7 @@ class CellTally(AbstractModule):
     first_exit: OutsideStep
     last_exit: OutsideStep
     outside: OutsideStep
-    unsettled_time: RealScalarLike
+    unsettled: Span
     peak_errors: Scalars
     peak_u: RealScalarLike
     last_u: RealScalarLike
@@ -97,7 +97,7 @@ def first_cell_tally(problem: Problem, start: Instant) -> CellTally:
         first_exit=none,
         last_exit=none,
         outside=none,
-        unsettled_time=zero,
+        unsettled=Span(zero, zero),
         peak_errors=(zero,) * problem.loop.order,
         peak_u=zero,
         last_u=zero,
@@ -119,7 +119,7 @@ def first_command_tally() -> CommandTally:
 
 
 def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: Cell) -> CellTally:
-    """The figures after one more cell. No cell has the reaching time inside."""
+    """The figures after one more cell. No cell has the reaching or the settling time inside."""
     t0, t1, h = cell.left.t, cell.right.t, cell.length
     is_steady = t0 >= problem.reaching_time
     sigma, z, errors = cell.sigma(), cell.ratio(), cell.errors()
@@ -142,7 +142,7 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         first_exit=trees.where(is_out & (tally.first_exit.length == 0.0), exit_, tally.first_exit),
         last_exit=trees.where(is_out, exit_, tally.last_exit),
         outside=trees.where(is_far, OutsideStep(t0, h, sigma), tally.outside),
-        unsettled_time=jnp.where(_exceeds(problem, heights), t1, tally.unsettled_time),
+        unsettled=trees.where(problem.fence.claim(_exceeds(problem, heights)), Span(t0, t1), tally.unsettled),
         peak_errors=trees.where(is_steady, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors),
         peak_u=ft.reduce(jnp.maximum, (tally.peak_u, *map(jnp.abs, (cell.u0, cell.middle, cell.u1)))),
         last_u=cell.u1,

@@ -162,7 +162,7 @@ def run(
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    figures, _ = solve(pose(made.loop, bandwidth, settings), x0, jnp.asarray(made.t1), settings)
+    figures, _ = solve(pose(made.loop, x0, bandwidth, settings), x0, jnp.asarray(made.t1), settings)
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
 
 
