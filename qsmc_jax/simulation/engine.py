@@ -26,6 +26,9 @@ from qsmc_jax.simulation.step_size import controller
 from qsmc_jax.simulation.tally import Problem, first_tally
 from qsmc_jax.simulation.tsit5 import Tsit5
 
+# Errors that one step may make in s up to which it chatters where stability limits an explicit method.
+_RIPPLE = 30.0
+
 
 def pose(loop: ClosedLoop, x0: State, bandwidth: RealScalarLike, settings: SolverSettings) -> Problem:
     """The problem of solving a loop from a start: its thresholds and the coordinates that the settings name."""
@@ -38,6 +41,7 @@ def pose(loop: ClosedLoop, x0: State, bandwidth: RealScalarLike, settings: Solve
         bandwidth=bandwidth,
         reaching_time=funnel.reaching_time(bandwidth),
         error_bounds=bounds,
+        ripple=(_RIPPLE * settings.funnel_atol, _RIPPLE * settings.rtol),
         settling_time=settling_time(surface.c, funnel, bandwidth, bounds, loop.errors(0.0, x0)),
         fence=Fence(settings.rtol / settings.rtol),
     )

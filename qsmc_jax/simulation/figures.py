@@ -154,7 +154,7 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
         peak_errors=tuple(jnp.where(is_steady, peak, jnp.nan) for peak in tally.peak_errors),
         rms_error=known(jnp.sqrt(tally.squared_error / jnp.where(is_complete, ending.end_time, 1.0))),
         energy_u=known(tally.energy),
-        total_variation_u=known(tally.total_variation),
+        total_variation_u=known(tally.swings.total),
         least_gain=tally.least_gain,
         largest_disturbance=tally.largest_disturbance,
         steps=ending.steps,

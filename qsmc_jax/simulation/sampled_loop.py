@@ -19,6 +19,7 @@ from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.control.control import Sample
+from qsmc_jax.implementation.actuators import held_swing
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.simulation.explicit import explicit_stages, weighted
 from qsmc_jax.simulation.instant import Cell, Instant, at_instant
@@ -269,7 +270,9 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
     allowed = plan.rtol * (right.rho + jnp.abs(right.sigma))
     error = errors / allowed
     error = jnp.where(jnp.isfinite(error), error, jnp.inf)
-    return Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end)), actuator_at(end), error
+    actuator, held = plan.implementation.actuator, course.computer.held
+    swing = held_swing(held, h) if actuator is None else actuator.swing(course.actuator, held, h)
+    return Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end), swing), actuator_at(end), error
 
 
 def _step_factor(error: RealScalarLike) -> RealScalarLike:

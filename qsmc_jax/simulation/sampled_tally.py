@@ -130,7 +130,7 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
     is_far = problem.fence.claim((h > 0.0) & (_height(sigma) >= problem.bandwidth))
     heights = problem.fence(tuple(_height(cubic) for cubic in errors))
     jump = jnp.where(t0 > 0.0, jnp.abs(cell.u0 - tally.last_u), 0.0)
-    change = jump + jnp.abs(cell.middle - cell.u0) + jnp.abs(cell.u1 - cell.middle)
+    change = jump + cell.swing.variation
     equivalent = jnp.abs(cell.right.equivalent_input - cell.left.equivalent_input)
     gain = problem.loop.control.gain_sign * cell.right.terms.gain
     left = errors[0].y0, cell.left.error_rates(cell.u0)[0]
@@ -144,12 +144,12 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         outside=trees.where(is_far, OutsideStep(t0, h, sigma), tally.outside),
         unsettled=trees.where(problem.fence.claim(_exceeds(problem, heights)), Span(t0, t1), tally.unsettled),
         peak_errors=trees.where(is_steady, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors),
-        peak_u=ft.reduce(jnp.maximum, (tally.peak_u, *map(jnp.abs, (cell.u0, cell.middle, cell.u1)))),
+        peak_u=jnp.maximum(tally.peak_u, cell.swing.peak),
         last_u=cell.u1,
         total_variation=tally.total_variation + change,
         steady_variation=tally.steady_variation + jnp.where(is_steady, change, 0.0),
         equivalent_variation=tally.equivalent_variation + jnp.where(is_steady, equivalent, 0.0),
-        energy=tally.energy + h / 6.0 * (cell.u0**2 + 4.0 * cell.middle**2 + cell.u1**2),
+        energy=tally.energy + cell.swing.energy,
         squared_error=tally.squared_error + integral_of_square(h, left, right),
         filter=_filtered(tally.filter, cell, cutoff, is_steady),
         least_gain=jnp.minimum(tally.least_gain, gain),
