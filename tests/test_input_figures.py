@@ -82,7 +82,7 @@ def scipys(name):
             e = ys[0] if n > 1 else errors(ts, ys)[1]
             integrals = [0.5 * (b - a) * weights @ v**2 for v in (np.sinh(ys[-1]), e)]
             total += [np.sum(np.abs(np.diff(u))), *integrals]
-            peak = max(peak, np.max(np.abs(u)))
+            peak = max(peak, np.max(np.abs(np.sinh(solution.sol(np.linspace(a, b, 101))[-1]))))
         y, begin = solution.y[:, -1], end
     return {
         "total_variation_u": total[0],

@@ -168,6 +168,7 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
     steady_from = jnp.clip((problem.reaching_time - step.t0) / jnp.where(h > 0.0, h, 1.0), 0.0, 1.0)
     heights = problem.fence(tuple(cubic.largest(steady_from) for cubic in _error_cubics(left, right, h)))
     sigma_height = problem.fence(sigma.largest())
+    exceeds = problem.fence.claim(_exceeds(problem, heights, left.errors))
     peak = _peak(problem, step, s)
     gain, disturbance = _premises(loop, t1, right.errors)
     return Tally(
@@ -175,7 +176,7 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
         u=u1,
         peak=trees.where(peak.height > tally.peak.height, peak, tally.peak),
         outside=trees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), tally.outside),
-        unsettled=trees.where(_exceeds(problem, heights, left.errors), Span(step.t0, t1), tally.unsettled),
+        unsettled=trees.where(exceeds, Span(step.t0, t1), tally.unsettled),
         peak_errors=trees.where(
             t1 > problem.reaching_time, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors
         ),
@@ -242,7 +243,8 @@ def _swung(problem: Problem, swings: Swings, s: Cubic, u1: RealScalarLike) -> Sw
     """
     absolute, relative = problem.ripple
     band = (absolute + relative * jnp.abs(s.y1)) * jnp.sqrt(1.0 + u1 * u1)
-    for u in (*(sinh_cosh(turn)[0] for turn in s.stations()[1:-1]), u1):
+    turns = problem.fence(tuple(sinh_cosh(turn)[0] for turn in s.stations()[1:-1]))
+    for u in (*turns, u1):
         move = u - swings.extreme
         goes_on, is_first = move * swings.direction >= 0.0, swings.direction == 0.0
         is_turn = ~goes_on & (jnp.abs(move) > band)
