@@ -62,11 +62,11 @@ class Figures(AbstractModule):
         peak_u_bound: What the comparison lemma allows for `peak_u`; a higher peak is a defect of the simulator.
         reach_time: Time after which |sigma| < bandwidth for good [s]; inf if never.
         violation_time: When the run first left the funnel [s]; inf if it did not.
-        settle_time: Time after which the errors are within their bounds for good, to the step [s]; inf if never, or lost.
+        settle_time: Time after which the errors are within their bounds for good, to the step [s]; inf if never.
         peak_errors: sup |e^(i)| over t >= t_r, i = 0..n-1.
         rms_error: Root mean square of e over the horizon.
         energy_u: Integral of u^2.
-        total_variation_u: Integral of |du/dt|; of an ideal loop without reversals within 30 tolerances of a step.
+        total_variation_u: Integral of |du/dt|; in an ideal loop, reversals within 30 tolerances do not count.
         least_gain: Least gain_sign * g met at the end of a step; not positive if the premise on the gain is broken.
         largest_disturbance: Largest |d| met at the end of a step.
         steps: Steps taken, kept or not.
