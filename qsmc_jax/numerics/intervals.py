@@ -78,16 +78,6 @@ def _any(values: list[Any]) -> Any:
     return ft.reduce(jnp.logical_or, values)
 
 
-def everything(like: Any) -> Enclosed:
-    """What is known of a value of which nothing is known; `like` has its shape and type."""
-    if like.dtype == bool:
-        return Truth(jnp.ones(like.shape, bool), jnp.ones(like.shape, bool))
-    if jnp.issubdtype(like.dtype, jnp.integer):
-        ends = jnp.iinfo(like.dtype)
-        return Interval(jnp.full(like.shape, ends.min, like.dtype), jnp.full(like.shape, ends.max, like.dtype))
-    return Interval(jnp.full(like.shape, -jnp.inf, like.dtype), jnp.full(like.shape, jnp.inf, like.dtype))
-
-
 # Arithmetic
 
 
@@ -163,16 +153,19 @@ def _square(rounding: Rounding, a: Interval, **_: Any) -> Interval:
 
 @rule("pow")
 def _pow(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
-    """A real power of a base that is not negative: monotone in each operand on either side of base 1 and power 0."""
+    """A real power: monotone in each operand on either side of base 1 and power 0. A negative base has whole ones."""
     if is_point(b) and not jnp.issubdtype(jnp.result_type(b), jnp.inexact):
         b = jnp.asarray(b, float)
     a, b = interval(a), interval(b)
-    base = Interval(jnp.maximum(a.lo, 0.0), jnp.maximum(a.hi, 0.0))
+    is_whole = (b.lo == b.hi) & (b.lo == jnp.floor(b.lo))
+    is_even = is_whole & (b.lo == 2.0 * jnp.floor(0.5 * b.lo))
+    size = absolute(rounding, a)
+    # Of an odd power of both signs the ends have theirs; one that has a pole between them is not known.
+    base = Interval(*(jnp.where(is_even, s, jnp.where(is_whole, e, jnp.maximum(e, 0.0))) for s, e in zip(size, a, strict=True)))
     ends = [jnp.power(p, q) for p in base for q in b]
-    result = Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends))
-    known = rounding(result, units=32)
-    is_real = a.lo >= 0.0  # an integral power of a negative base is none of our business here
-    return Interval(jnp.where(is_real, known.lo, -jnp.inf), jnp.where(is_real, known.hi, jnp.inf))
+    known = rounding(Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends)), units=32)
+    is_known = (a.lo >= 0.0) | is_even | (is_whole & ((b.lo >= 0.0) | (a.hi < 0.0)))
+    return Interval(jnp.where(is_known, known.lo, -jnp.inf), jnp.where(is_known, known.hi, jnp.inf))
 
 
 # Functions that grow, or turn once
@@ -335,13 +328,13 @@ def _clamp(rounding: Rounding, low: Enclosed, a: Enclosed, high: Enclosed, **_: 
 @rule("lt", "lt_to")
 def _lt(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth(a.lo < b.hi, a.hi >= b.lo)
+    return Truth(~(a.lo >= b.hi), ~(a.hi < b.lo))  # either, where an end is not known
 
 
 @rule("le", "le_to")
 def _le(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth(a.lo <= b.hi, a.hi > b.lo)
+    return Truth(~(a.lo > b.hi), ~(a.hi <= b.lo))
 
 
 @rule("gt")
@@ -357,7 +350,7 @@ def _ge(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
 @rule("eq")
 def _eq(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth((a.lo <= b.hi) & (a.hi >= b.lo), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
+    return Truth(~((a.lo > b.hi) | (a.hi < b.lo)), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
 
 
 @rule("ne")
