@@ -3,6 +3,7 @@
 import functools as ft
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -18,6 +19,11 @@ def where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
 def zeros_like(tree: Any) -> Any:
     """The same tree of zeros."""
     return jax.tree.map(jnp.zeros_like, tree)
+
+
+def constant(tree: Any) -> Any:
+    """The same tree, of which no number has a derivative; what is no number, such as a function, stays."""
+    return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array_like(leaf) else leaf, tree)
 
 
 def full_like(tree: Any, value: RealScalarLike) -> Any:

@@ -1,8 +1,8 @@
 """Enclosures of traced functions: a program is walked with intervals in place of numbers.
 
 What depends on points alone is computed as it stands, so that a function of time costs only what depends on time. The
-walk enters `jit`, custom derivatives, `checkpoint`, `cond` and loops of fixed length. What it has no rule for is tried in
-corners of its operands' box and within, which is no proof, and is named.
+walk enters `jit`, custom derivatives, `checkpoint`, `cond` and loops of fixed length. What it has no rule for is tried
+in corners of its operands' box and within, which is no proof, and is named.
 """
 
 import math
@@ -109,7 +109,7 @@ class _Walk:
 
     def _result(self, name: str, eqn: JaxprEqn, operands: list[Enclosed]) -> Any:
         """The result of one operation, None if there is no rule for it."""
-        is_of_bits = name in _LOGIC and eqn.outvars[0].aval.dtype != bool
+        is_of_bits = name in _LOGIC and _kind(eqn.outvars[0]) != bool
         if name in RULES and not is_of_bits:
             result = RULES[name](self.rounding, *operands, **eqn.params)
             if name in _JUMPING:
@@ -290,7 +290,8 @@ class _Walk:
         if np.ndim(table.lo) == 1 and len(places) == 1 and np.prod(shape) == np.size(interval(places[0]).lo) == 1:
             size = table.lo.shape[0]
             low, high = (jnp.clip(jnp.reshape(end, ()), 0, size - 1) for end in interval(places[0]))
-            is_reached = (jnp.arange(size) >= low) & (jnp.arange(size) <= high)
+            order = jnp.arange(size, dtype=low.dtype)
+            is_reached = (order >= low) & (order <= high)
         low = jnp.min(jnp.where(is_reached, table.lo, _extreme(table.lo, 1)))
         high = jnp.max(jnp.where(is_reached, table.hi, _extreme(table.hi, -1)))
         return Interval(jnp.full(shape, low), jnp.full(shape, high))

@@ -161,7 +161,9 @@ def _pow(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
     is_even = is_whole & (b.lo == 2.0 * jnp.floor(0.5 * b.lo))
     size = absolute(rounding, a)
     # Of an odd power of both signs the ends have theirs; one that has a pole between them is not known.
-    base = Interval(*(jnp.where(is_even, s, jnp.where(is_whole, e, jnp.maximum(e, 0.0))) for s, e in zip(size, a, strict=True)))
+    base = Interval(
+        *(jnp.where(is_even, s, jnp.where(is_whole, e, jnp.maximum(e, 0.0))) for s, e in zip(size, a, strict=True))
+    )
     ends = [jnp.power(p, q) for p in base for q in b]
     known = rounding(Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends)), units=32)
     is_known = (a.lo >= 0.0) | is_even | (is_whole & ((b.lo >= 0.0) | (a.hi < 0.0)))
@@ -349,14 +351,19 @@ def _ge(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
 
 @rule("eq")
 def _eq(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    if _is_true_or_not(a) or _is_true_or_not(b):
+        return _not(rounding, _xor(rounding, a, b))
     a, b = interval(a), interval(b)
     return Truth(~((a.lo > b.hi) | (a.hi < b.lo)), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
 
 
+def _is_true_or_not(value: Enclosed) -> bool:
+    return isinstance(value, Truth) or (is_point(value) and jnp.issubdtype(jnp.result_type(value), jnp.bool_))
+
+
 @rule("ne")
 def _ne(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
-    same = _eq(rounding, a, b)
-    return Truth(same.may_not, same.may)
+    return _not(rounding, _eq(rounding, a, b))
 
 
 @rule("is_finite")

@@ -17,7 +17,7 @@ from qsmc_jax.numerics.intervals import Interval, interval, is_point
 
 # Instants at which a function is looked at that cannot be enclosed.
 _PROBES = 33
-# Over a time as short as this, relative to itself, what has no bound is believed to be what it is at the nodes: x / |x|.
+# Over a time so short, relative to itself, what has no bound, such as x / |x|, is believed to be what the nodes show.
 _FINEST = 2.0**-40
 
 
