@@ -347,6 +347,7 @@ def test_what_happens_inside_a_hold_is_met(numbers):
     assert float(run.violation_time) == pytest.approx(truth.violation_time, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_an_unmatched_push_inside_a_hold_is_met():
     """Nothing answers before the next sample: x_1 is moved by the push's area, and sigma by c as much."""
     push = Push(0.0, eventful.Feature(GAUSSIAN, 2.013, 1e-3, 200.0))

@@ -109,7 +109,7 @@ class _Walk:
 
     def _result(self, name: str, eqn: JaxprEqn, operands: list[Enclosed]) -> Any:
         """The result of one operation, None if there is no rule for it."""
-        is_of_bits = name in _LOGIC and _kind(eqn.outvars[0]) != bool
+        is_of_bits = name in _LOGIC and not jnp.issubdtype(_kind(eqn.outvars[0]), jnp.bool_)
         if name in RULES and not is_of_bits:
             result = RULES[name](self.rounding, *operands, **eqn.params)
             if name in _JUMPING:
