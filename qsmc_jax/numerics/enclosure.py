@@ -1,8 +1,8 @@
 """Enclosures of traced functions: a program is walked with intervals in place of numbers.
 
 What depends on points alone is computed as it stands, so that a function of time costs only what depends on time. The
-walk enters `jit`, custom derivatives, `checkpoint`, `cond` and loops of fixed length. What it has no rule for can be
-anything, and is named.
+walk enters `jit`, custom derivatives, `checkpoint`, `cond` and loops of fixed length. What it has no rule for is tried
+in corners of its operands' box and within, which is no proof, and is named.
 """
 
 import math
@@ -16,11 +16,14 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxpr_as_fun
 
 from qsmc_jax.numerics import functions as functions  # whose rules register themselves
 from qsmc_jax.numerics import intervals
-from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, everything, hull, interval, is_point, truth
+from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, hull, interval, is_point, truth
 from qsmc_jax.numerics.rounding import Rounding
 
 # Operations that a loop of fixed length may unroll to.
 _LONGEST = 4096
+# Points of the box at which a primitive without a rule is tried: two ends, the middle, corners, and others within.
+_CORNERS, _TRIES = 6, 33
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 _CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call"}
 _CALLS |= {"custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}
@@ -31,6 +34,7 @@ _SHAPING = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "transpose"
 _SHAPING |= {"copy", "copy_p", "stack", "split", "stop_gradient", "optimization_barrier", "reduce_precision"}
 _GROWING = {"reduce_max", "reduce_min", "cummax", "cummin"}
 
+_LOGIC = {"and", "or", "xor", "not"}
 _JUMPING = {"sign", "floor", "ceil", "round"}
 _POLES = {"div", "tan"}
 
@@ -41,7 +45,7 @@ class Enclosure(NamedTuple):
     Attributes:
         values: Its results, flat: points where they do not depend on an interval, else intervals or truths.
         jumps: Whether it may jump in the box.
-        unknown: Primitives without a rule that it uses, whose results can be anything.
+        unknown: Primitives without a rule that it uses, which were tried at some points of the box.
     """
 
     values: tuple[Enclosed, ...]
@@ -62,6 +66,10 @@ def enclose(fn: Callable[..., Any], *box: Enclosed, rounding: Rounding = Roundin
     walk = _Walk(rounding)
     values = walk.run(program.jaxpr, program.consts, box)
     return Enclosure(tuple(values), walk.jumps, tuple(sorted(walk.unknown)))
+
+
+class CannotEncloseError(Exception):
+    """A primitive without a rule has results that are no numbers, such as random keys."""
 
 
 class _Walk:
@@ -89,20 +97,21 @@ class _Walk:
         if all(map(is_point, operands)):
             return _computed(eqn, operands)
         if _is_complex(eqn):
-            return self._anything(eqn)
+            return self._tried(eqn, operands)
+        if name in ("eq", "ne") and eqn.invars[0] is eqn.invars[1]:  # so NaNs are looked for; a box holds numbers
+            is_same = jnp.full(np.shape(interval(operands[0]).lo), name == "eq")
+            return [Truth(is_same, ~is_same)]
         if name in ("cond", "scan"):
             return (self._cond if name == "cond" else self._scan)(eqn, operands)
         result = self._result(name, eqn, operands)
         if result is None:
-            return self._anything(eqn)
+            return self._tried(eqn, operands)
         return result if eqn.primitive.multiple_results else [result]
 
     def _result(self, name: str, eqn: JaxprEqn, operands: list[Enclosed]) -> Any:
         """The result of one operation, None if there is no rule for it."""
-        if name in ("eq", "ne") and eqn.invars[0] is eqn.invars[1]:  # a question for NaN, which no enclosure holds
-            like = interval(operands[0]).lo
-            return jnp.full(like.shape, name == "eq")
-        if name in RULES:
+        is_of_bits = name in _LOGIC and not jnp.issubdtype(_kind(eqn.outvars[0]), jnp.bool_)
+        if name in RULES and not is_of_bits:
             result = RULES[name](self.rounding, *operands, **eqn.params)
             if name in _JUMPING:
                 self._note(result.lo != result.hi)
@@ -116,6 +125,8 @@ class _Walk:
         if name == "select_n":
             return self._select(operands[0], operands[1:])
         if name in _SHAPING | _GROWING or (name == "sort" and len(operands) == 1):
+            if name == "stop_gradient":
+                self._note(jnp.ones((), bool))  # not a jump, but its derivative says as little of it
             return _by_ends(eqn, operands)
         structural = {
             "convert_element_type": self._convert,
@@ -125,51 +136,63 @@ class _Walk:
             "reduce_and": _reduced_truth,
             "reduce_or": _reduced_truth,
             "argmax": self._argmax,
+            "argmin": self._argmin,
             "gather": self._gather,
             "dynamic_slice": self._gather,
         }
         return structural[name](eqn, operands) if name in structural else None
 
-    def _anything(self, eqn: JaxprEqn) -> list[Enclosed]:
+    def _tried(self, eqn: JaxprEqn, operands: list[Enclosed]) -> list[Enclosed]:
+        """The hull of its results at some points of the box."""
+        if not eqn.outvars:  # it is there for what it does, such as printing
+            return []
         self.unknown.add(eqn.primitive.name)
         self._note(jnp.ones((), bool))
-        return [everything(var.aval) for var in eqn.outvars]
+        if any(jnp.issubdtype(getattr(var.aval, "dtype", float), jax.dtypes.extended) for var in eqn.outvars):
+            raise CannotEncloseError(eqn.primitive.name)
+        tries = [_computed(eqn, [_within(value, i, k) for i, value in enumerate(operands)]) for k in range(_TRIES)]
+        return [_hull_of_points(jnp.stack(results)) for results in zip(*tries, strict=True)]
 
     def _note(self, jumps: Any) -> None:
         self.jumps = self.jumps | jnp.any(jumps)
 
     def _call(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Sequence[Enclosed]:
         named = {"_interp": self._interpolated, "searchsorted": self._searched}.get(eqn.params.get("name", ""))
-        if named is not None and not is_point(operands[-1 if eqn.params["name"] == "searchsorted" else 0]):
-            result = named(eqn, operands)
-            if result is not None:
-                return [result]
+        result = named(eqn, operands) if named is not None else None
+        if result is not None:
+            return [result]
         program = next(eqn.params[key] for key in _PROGRAMS if key in eqn.params)
         is_closed = isinstance(program, ClosedJaxpr)
         return self.run(program.jaxpr if is_closed else program, program.consts if is_closed else (), operands)
 
     def _interpolated(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval | None:
-        """`jnp.interp`: the values at the ends, and at the knots between them."""
-        if len(operands) != 3:
-            return None
-        at, knots, values = operands
-        if not (is_point(knots) and is_point(values)) or np.ndim(at.lo) or np.ndim(knots) != 1:
+        """`jnp.interp`: the values at the ends, and at the knots between them. Its derivative has two results."""
+        at, *table = operands
+        knots, values, *others = table
+        is_usual = all(map(is_point, table)) and np.ndim(knots) == 1 and len(eqn.outvars) == 1
+        if is_point(at) or np.ndim(at.lo) or not is_usual:
             return None
         program = jaxpr_as_fun(eqn.params["jaxpr"])
-        ends = [program(end, knots, values)[0] for end in at]
-        is_between = (knots > at.lo) & (knots < at.hi)
+        ends = [program(end, *table)[0] for end in at]
+        is_between = (knots >= at.lo) & (knots <= at.hi)
+        if any(inner.primitive.name == "sort" for inner in eqn.params["jaxpr"].eqns):  # it has a period
+            first, last = (jnp.floor((end - knots) / jnp.abs(others[-1])) for end in at)
+            is_between = is_between | (last > first)
+        else:  # beyond the last knot, on either side, it may jump
+            self._note((at.lo <= knots[0]) & (knots[0] <= at.hi) & (program(at.lo, *table)[0] != values[0]))
+            self._note((at.lo <= knots[-1]) & (knots[-1] <= at.hi) & (program(at.hi, *table)[0] != values[-1]))
         low = jnp.min(jnp.where(is_between, values, jnp.inf), initial=jnp.inf)
         high = jnp.max(jnp.where(is_between, values, -jnp.inf), initial=-jnp.inf)
         known = Interval(jnp.minimum(low, jnp.minimum(*ends)), jnp.maximum(high, jnp.maximum(*ends)))
         return self.rounding(known, units=8)
 
     def _searched(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval | None:
-        """`jnp.searchsorted`: its place grows with what is looked for."""
-        table, sought = operands
-        if not is_point(table):
+        """`jnp.searchsorted`: its place grows with what is looked for; what stands behind that is its derivative."""
+        table, sought, *others = operands
+        if not is_point(table) or is_point(sought):
             return None
-        program = jaxpr_as_fun(eqn.params["jaxpr"])
-        return Interval(*(program(table, end)[0] for end in sought))
+        program, others = jaxpr_as_fun(eqn.params["jaxpr"]), [interval(other).lo for other in others]
+        return Interval(*(program(table, end, *others)[0] for end in sought))
 
     def _select(self, which: Enclosed, cases: Sequence[Enclosed]) -> Enclosed:
         if is_point(which):
@@ -196,7 +219,7 @@ class _Walk:
         """A loop of fixed length, unrolled."""
         params, body = eqn.params, eqn.params["jaxpr"]
         if params["length"] * len(body.jaxpr.eqns) > _LONGEST:
-            return self._anything(eqn)
+            return self._tried(eqn, operands)
         consts, carry = params["num_consts"], params["num_carry"]
         state, rows = list(operands[consts : consts + carry]), operands[consts + carry :]
         stacked: list[list[Enclosed]] = []
@@ -241,6 +264,9 @@ class _Walk:
         last = jnp.where(jnp.any(is_sure, axis=axis), jnp.argmax(is_sure, axis=axis), last)
         return Interval(jnp.argmax(can, axis=axis).astype(kind), last.astype(kind))
 
+    def _argmin(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+        return self._argmax(eqn, [RULES["neg"](self.rounding, interval(operands[0]))])
+
     def _dot(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
         """By middles and radii, which is exact where one operand is a point."""
         a, b = map(interval, operands)
@@ -265,8 +291,8 @@ class _Walk:
         if np.ndim(table.lo) == 1 and len(places) == 1 and np.prod(shape) == np.size(interval(places[0]).lo) == 1:
             size = table.lo.shape[0]
             low, high = (jnp.clip(jnp.reshape(end, ()), 0, size - 1) for end in interval(places[0]))
-            place = jnp.arange(size, dtype=low.dtype)
-            is_reached = (place >= low) & (place <= high)
+            order = jnp.arange(size, dtype=low.dtype)
+            is_reached = (order >= low) & (order <= high)
         low = jnp.min(jnp.where(is_reached, table.lo, _extreme(table.lo, 1)))
         high = jnp.max(jnp.where(is_reached, table.hi, _extreme(table.hi, -1)))
         return Interval(jnp.full(shape, low), jnp.full(shape, high))
@@ -276,6 +302,30 @@ def _computed(eqn: JaxprEqn, operands: Sequence[Any]) -> Sequence[Any]:
     """The operation on points."""
     result = eqn.primitive.bind(*operands, **eqn.params)
     return result if eqn.primitive.multiple_results else [result]
+
+
+def _within(value: Enclosed, operand: int, k: int) -> Any:
+    """The k-th point of an operand's box at which a primitive is tried: its ends, its middle, a corner, or within."""
+    if is_point(value):
+        return value
+    is_truth = isinstance(value, Truth)
+    low, high = (jnp.logical_not(value.may_not), value.may) if is_truth else value
+    places = (np.arange(np.size(low)).reshape(np.shape(low)) + 1.0 + _GOLDEN * operand) * (k * _GOLDEN)
+    shares = np.full(np.shape(low), (0.0, 1.0, 0.5)[k]) if k < 3 else places % 1.0
+    if k >= 3 and k < _CORNERS or not jnp.issubdtype(jnp.result_type(low), jnp.inexact):
+        return jnp.where(shares < 0.5, low, high)
+    inner = low + jnp.asarray(shares, low.dtype) * (high - low)
+    return jnp.where(shares == 0.0, low, jnp.where(shares == 1.0, high, inner))
+
+
+def _hull_of_points(points: Any) -> Enclosed:
+    """The least enclosure of the rows of an array; of complex numbers by real and imaginary parts."""
+    if points.dtype == bool:
+        return Truth(jnp.any(points, axis=0), ~jnp.all(points, axis=0))
+    if jnp.issubdtype(points.dtype, jnp.complexfloating):
+        real, imaginary = _hull_of_points(points.real), _hull_of_points(points.imag)
+        return Interval(*(jax.lax.complex(*ends) for ends in zip(real, imaginary, strict=True)))
+    return Interval(jnp.min(points, axis=0), jnp.max(points, axis=0))
 
 
 def _by_ends(eqn: JaxprEqn, operands: Sequence[Enclosed]) -> Any:

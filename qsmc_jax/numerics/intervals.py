@@ -81,16 +81,6 @@ def _any(values: list[Any]) -> Any:
     return ft.reduce(jnp.logical_or, values)
 
 
-def everything(like: Any) -> Enclosed:
-    """What is known of a value of which nothing is known; `like` has its shape and type."""
-    if like.dtype == bool:
-        return Truth(jnp.ones(like.shape, bool), jnp.ones(like.shape, bool))
-    if jnp.issubdtype(like.dtype, jnp.integer):
-        ends = jnp.iinfo(like.dtype)
-        return Interval(jnp.full(like.shape, ends.min, like.dtype), jnp.full(like.shape, ends.max, like.dtype))
-    return Interval(jnp.full(like.shape, -jnp.inf, like.dtype), jnp.full(like.shape, jnp.inf, like.dtype))
-
-
 # Arithmetic
 
 
@@ -166,16 +156,21 @@ def _square(rounding: Rounding, a: Interval, **_: Any) -> Interval:
 
 @rule("pow")
 def _pow(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
-    """A real power of a base that is not negative: monotone in each operand on either side of base 1 and power 0."""
+    """A real power: monotone in each operand on either side of base 1 and power 0. A negative base has whole ones."""
     if is_point(b) and not jnp.issubdtype(jnp.result_type(b), jnp.inexact):
         b = jnp.asarray(b, float)
     a, b = interval(a), interval(b)
-    base = Interval(jnp.maximum(a.lo, 0.0), jnp.maximum(a.hi, 0.0))
+    is_whole = (b.lo == b.hi) & (b.lo == jnp.floor(b.lo))
+    is_even = is_whole & (b.lo == 2.0 * jnp.floor(0.5 * b.lo))
+    size = absolute(rounding, a)
+    # Of an odd power of both signs the ends have theirs; one that has a pole between them is not known.
+    base = Interval(
+        *(jnp.where(is_even, s, jnp.where(is_whole, e, jnp.maximum(e, 0.0))) for s, e in zip(size, a, strict=True))
+    )
     ends = [jnp.power(p, q) for p in base for q in b]
-    result = Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends))
-    known = rounding(result, units=32)
-    is_real = a.lo >= 0.0  # an integral power of a negative base is none of our business here
-    return Interval(jnp.where(is_real, known.lo, -jnp.inf), jnp.where(is_real, known.hi, jnp.inf))
+    known = rounding(Interval(ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends)), units=32)
+    is_known = (a.lo >= 0.0) | is_even | (is_whole & ((b.lo >= 0.0) | (a.hi < 0.0)))
+    return Interval(jnp.where(is_known, known.lo, -jnp.inf), jnp.where(is_known, known.hi, jnp.inf))
 
 
 # Steps
@@ -243,13 +238,13 @@ def _clamp(rounding: Rounding, low: Enclosed, a: Enclosed, high: Enclosed, **_: 
 @rule("lt", "lt_to")
 def _lt(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth(a.lo < b.hi, a.hi >= b.lo)
+    return Truth(~(a.lo >= b.hi), ~(a.hi < b.lo))  # either, where an end is not known
 
 
 @rule("le", "le_to")
 def _le(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth(a.lo <= b.hi, a.hi > b.lo)
+    return Truth(~(a.lo > b.hi), ~(a.hi <= b.lo))
 
 
 @rule("gt")
@@ -264,14 +259,19 @@ def _ge(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
 
 @rule("eq")
 def _eq(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
+    if _is_true_or_not(a) or _is_true_or_not(b):
+        return _not(rounding, _xor(rounding, a, b))
     a, b = interval(a), interval(b)
-    return Truth((a.lo <= b.hi) & (a.hi >= b.lo), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
+    return Truth(~((a.lo > b.hi) | (a.hi < b.lo)), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
+
+
+def _is_true_or_not(value: Enclosed) -> bool:
+    return isinstance(value, Truth) or (is_point(value) and jnp.issubdtype(jnp.result_type(value), jnp.bool_))
 
 
 @rule("ne")
 def _ne(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
-    same = _eq(rounding, a, b)
-    return Truth(same.may_not, same.may)
+    return _not(rounding, _eq(rounding, a, b))
 
 
 @rule("is_finite")

@@ -12,11 +12,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.numerics.enclosure import Enclosure, enclose
+from qsmc_jax.numerics.enclosure import CannotEncloseError, Enclosure, enclose
 from qsmc_jax.numerics.intervals import Interval, interval, is_point
 
 # Instants at which a function is looked at that cannot be enclosed.
 _PROBES = 33
+# Over a time so short, relative to itself, what has no bound, such as x / |x|, is believed to be what the nodes show.
+_FINEST = 2.0**-40
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +94,7 @@ class Unseen:
         amount: By how much it may pass the highest or the lowest value seen; a plain 0.0 for what is constant.
         low: The least value that it may take; NaN where nobody asks for it.
         high: The highest value that it may take; likewise.
-        probed: Primitives for which it could not be enclosed, and was probed instead.
+        probed: Primitives without a rule, for which it is not enclosed for certain.
     """
 
     amount: RealScalarLike
@@ -113,20 +115,27 @@ def unseen(fn: Callable[[RealScalarLike], Any], step: Step) -> Unseen:
     """
     stretch = Interval(jnp.asarray(step.t0, float), jnp.asarray(step.t1, float))
     scalar = lambda t: jnp.asarray(fn(t), float)  # noqa: E731
-    whole = enclose(scalar, stretch)
+    whole = _enclosed_or_probed(scalar, stretch)
     if is_point(whole.values[0]):
         return Unseen(0.0, whole.values[0], whole.values[0])
     times = [stretch.lo, *(step.t0 + place * step.length for place in step.nodes.few[1:-1]), stretch.hi]
     values = [scalar(time) for time in times]
     low, high = ft.reduce(jnp.minimum, values), ft.reduce(jnp.maximum, values)
-    if whole.unknown:
-        within = step.t0 + np.linspace(0.0, 1.0, _PROBES) * step.length
-        probes = jax.vmap(scalar)(within)
-        amount = _beyond(Interval(jnp.min(probes), jnp.max(probes)), low, high)
-    else:
-        amount = _beyond(interval(whole.values[0]), low, high)
+    amount = _beyond(interval(whole.values[0]), low, high)
+    if not whole.unknown:
         amount = jnp.minimum(amount, _climb(scalar, stretch, _widest(times), whole))
+    is_fine = step.length <= _FINEST * jnp.abs(stretch.hi)
+    amount = jnp.where(is_fine & jnp.isinf(amount), 0.0, amount)
     return Unseen(amount, low - amount, high + amount, whole.unknown)
+
+
+def _enclosed_or_probed(fn: Callable[[Array], Array], stretch: Interval) -> Enclosure:
+    """An enclosure; where there can be none, the range of the function at evenly spaced instants."""
+    try:
+        return enclose(fn, stretch)
+    except CannotEncloseError as unknown:
+        probes = jax.vmap(fn)(stretch.lo + np.linspace(0.0, 1.0, _PROBES) * (stretch.hi - stretch.lo))
+        return Enclosure((Interval(jnp.min(probes), jnp.max(probes)),), jnp.ones((), bool), unknown.args)
 
 
 def _beyond(range_: Interval, low: Array, high: Array) -> Float[Array, ""]:

@@ -20,6 +20,8 @@ from qsmc_jax.simulation.tally import OutsideStep, Peak, Problem, Span
 
 # An instant, relative to the time: some ten thousand units in its last place.
 _IMMINENT = 1e-12
+# |s| from which on a run is at the funnel's edge: 1 - |sigma|/rho = 2e-6, an input of 3e5.
+_AT_THE_EDGE = 13.4
 
 
 class SampledFigures(AbstractModule):
@@ -228,7 +230,10 @@ def _is_leaving(problem: Problem, ending: Ending, is_far: BoolScalarLike) -> Boo
     pushes_back = (loop.control.gain_sign * loop.plant.gain(t, x) > 0.0) & (
         loop.control.gain_sign * loop.plant.gain(t + instant, later) > 0.0
     )
-    return (s * s_rate > 0.0) & (speed * instant > 1.0) & ~pushes_back
+    # A run that is held at the edge until the gain is gone creeps there, at a speed that rounding decides.
+    pull = loop.balance(t, loop.errors(t, x), loop.desired(t)).residual
+    is_carried_out = (jnp.abs(s) > _AT_THE_EDGE) & (s * pull > 0.0)
+    return (((s * s_rate > 0.0) & (speed * instant > 1.0)) | is_carried_out) & ~pushes_back
 
 
 def _is_thrown_out(problem: Problem, ending: Ending) -> BoolScalarLike:

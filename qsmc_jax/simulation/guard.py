@@ -45,7 +45,7 @@ def hidden(
     problem: Problem,
     step: Step,
     ys: tuple[Scalars, Scalars, Scalars],
-    u: RealScalarLike,
+    us: tuple[RealScalarLike, RealScalarLike],
     rtol: RealScalarLike,
 ) -> RealScalarLike:
     """How far a step could move the funnel coordinate unseen, in units of what is tolerated; 0.0 if nothing can hide.
@@ -54,10 +54,10 @@ def hidden(
         problem: The loop.
         step: The step.
         ys: The coordinates at its start, middle and end.
-        u: The largest input in it.
+        us: The input's size at its start and end.
         rtol: The relative tolerance.
     """
-    problem, (t0, t1), ys, u = trees.stop_gradient((problem, (step.t0, step.t1), ys, u))
+    problem, (t0, t1), ys, us = trees.stop_gradient((problem, (step.t0, step.t1), ys, us))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     at = _path(problem, step, ys)
     pushes = _pushes(loop, step, at)
@@ -67,10 +67,11 @@ def hidden(
     growth = step.length * k * jnp.maximum(-lowest, 0.0) / _GROWTH
     if is_nothing(pushes.amount) and is_nothing(amount_of_gain) and is_nothing(jump):
         return growth
-    cosh = jnp.sqrt(1.0 + u * u)
-    amount = pushes.amount + amount_of_gain * u
+    calmest, largest = jnp.minimum(*us), jnp.maximum(*us)
+    cosh, least_cosh = jnp.sqrt(1.0 + largest**2), jnp.sqrt(1.0 + calmest**2)
+    amount = pushes.amount + amount_of_gain * largest
     is_held = lowest > 0.0
-    balanced = jnp.where(is_held, amount / (jnp.where(is_held, lowest, 1.0) * cosh), jnp.inf)
+    balanced = jnp.where(is_held, amount / (jnp.where(is_held, lowest, 1.0) * least_cosh), jnp.inf)
     moves = jnp.minimum(step.length * k * cosh * amount, balanced) + k * cosh * jump
     moves = jnp.where(jnp.isnan(moves), jnp.inf, moves)
     return jnp.maximum(moves / _worth(rtol), growth)

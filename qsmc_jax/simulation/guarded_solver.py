@@ -117,9 +117,8 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         local = self._in_tolerances(args, error, y0.y, kept1, tally.peak.height, moved)
         if not isinstance(self.method, Rosenbrock):
             local = jnp.maximum(local, (_decay(args, t0, t1, tally) / _STABLE) ** _STABLE_STEEPNESS)
-        largest_input = jnp.maximum(jnp.abs(y0.tally.u), jnp.abs(tally.u))
         step, ys = Stretch(t0, t1, self.method.nodes), (y0.y, dense["middle"], y1)
-        unseen = hidden(args, step, ys, largest_input, self.settings.rtol)
+        unseen = hidden(args, step, ys, (jnp.abs(y0.tally.u), jnp.abs(tally.u)), self.settings.rtol)
         y1, error = kept1, StepError(jnp.where(is_sound, local, jnp.inf), unseen)
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
