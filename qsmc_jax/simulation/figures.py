@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.unseen import is_consistent
 from qsmc_jax.simulation.guarded_solver import Run
 from qsmc_jax.simulation.outcome import Outcome, Verdict
@@ -20,8 +21,8 @@ from qsmc_jax.simulation.tally import OutsideStep, Peak, Problem, Span
 
 # An instant, relative to the time: some ten thousand units in its last place.
 _IMMINENT = 1e-12
-# |s| from which on a run is at the funnel's edge: 1 - |sigma|/rho = 2e-6, an input of 3e5.
-_AT_THE_EDGE = 13.4
+# Soon, likewise: within that time a run at the funnel's edge is outside if the gain is gone by then.
+_SOON = 1e-10
 
 
 class SampledFigures(AbstractModule):
@@ -226,14 +227,21 @@ def _is_leaving(problem: Problem, ending: Ending, is_far: BoolScalarLike) -> Boo
     left = 2.0 / jnp.where(speed > 0.0, speed, 1.0)
     instant = jnp.where(is_far, left, _IMMINENT * t)
     x = problem.coordinates.state(loop, t, y)
-    later = tuple(xi + instant * xj for xi, xj in zip(x, (*x[1:], 0.0), strict=True))
-    pushes_back = (loop.control.gain_sign * loop.plant.gain(t, x) > 0.0) & (
-        loop.control.gain_sign * loop.plant.gain(t + instant, later) > 0.0
-    )
-    # A run that is held at the edge until the gain is gone creeps there, at a speed that rounding decides.
-    pull = loop.balance(t, loop.errors(t, x), loop.desired(t)).residual
-    is_carried_out = (jnp.abs(s) > _AT_THE_EDGE) & (s * pull > 0.0)
-    return (((s * s_rate > 0.0) & (speed * instant > 1.0)) | is_carried_out) & ~pushes_back
+    pushes_back = _pushes_back(loop, t, x) & _pushes_back(loop, t + instant, _moved(x, instant))
+    is_fast = (s * s_rate > 0.0) & (speed * instant > 1.0)
+    # A run that the input holds at the edge until the gain is gone creeps there, at a speed that rounding decides.
+    soon, pull = _SOON * t, loop.balance(t, loop.errors(t, x), loop.desired(t)).residual
+    is_carried_out = (s * pull > 0.0) & (margin(s) * loop.control.funnel(t) <= jnp.abs(pull) * soon)
+    return (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, _moved(x, soon)))
+
+
+def _pushes_back(loop: ClosedLoop, t: RealScalarLike, x: Scalars) -> BoolScalarLike:
+    return jnp.asarray(loop.control.gain_sign * loop.plant.gain(t, x) > 0.0)
+
+
+def _moved(x: Scalars, dt: RealScalarLike) -> Scalars:
+    """The state a moment later, as far as it is a chain of integrators."""
+    return tuple(xi + dt * xj for xi, xj in zip(x, (*x[1:], 0.0), strict=True))
 
 
 def _is_thrown_out(problem: Problem, ending: Ending) -> BoolScalarLike:

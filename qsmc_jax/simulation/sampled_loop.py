@@ -39,6 +39,8 @@ from qsmc_jax.simulation.tally import Problem
 
 # Bogacki and Shampine's pair of order 3(2): between samples, cells are short anyhow.
 _TABLEAU = dfx.Bosh3.tableau
+# Tolerance of the peak of |sigma| / rho, in units of the relative one.
+_READING = 10.0
 _NODES = Nodes(tuple(sorted({0.0, *map(float, _TABLEAU.c)})), few=(0.0, 0.5, 1.0))
 # A run is lost once it is this many funnel widths away, or this many times as far as it started.
 _LOST = 1000.0
@@ -280,8 +282,19 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
     largest = ft.reduce(jnp.maximum, map(jnp.abs, (cell.u0, cell.middle, cell.u1)))
     path = _path(now, h, x1, first, stages[-1])
     hides = hidden_in_cell(plan.problem, plan.implementation, Step(now.t, end, _NODES), path, largest, plan.rtol)
-    error = jnp.maximum(errors / allowed, hides**2)
+    error = ft.reduce(jnp.maximum, (errors / allowed, hides**2, _misread(plan, cell) / (_READING * plan.rtol)))
     return cell, actuator_at(end), jnp.where(jnp.isfinite(error), error, jnp.inf)
+
+
+def _misread(plan: Plan, cell: Cell) -> RealScalarLike:
+    r"""By how much the peak of $z = \sigma/\rho$ in a cell may be read wrongly off its cubic [-].
+
+    The cubic is wrong where the funnel bends, for which its middle tells; and the peak is looked for where the parabola
+    turns that has the slopes of both ends.
+    """
+    z, sigma, middle = cell.ratio(), cell.sigma(), cell.left.t + 0.5 * cell.length
+    bend, *_ = z.coefficients()
+    return jnp.abs(z(0.5) - sigma(0.5) / plan.problem.loop.control.funnel(middle)) + 0.1 * jnp.abs(bend)
 
 
 def _path(now: Instant, h: RealScalarLike, x1: Scalars, rates0: Scalars, rates1: Scalars) -> Path:
