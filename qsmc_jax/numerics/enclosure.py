@@ -107,7 +107,7 @@ class _Walk:
             if name == "atan2":
                 self._note((result.lo <= -math.pi) & (result.hi >= math.pi))
             if name == "rem":
-                self._note((result.lo <= 0) & (result.hi - result.lo >= 0.5 * interval(operands[1]).hi))
+                self._note(~intervals.has_one_quotient(*operands))
             return result
         if name == "select_n":
             return self._select(operands[0], operands[1:])
@@ -259,7 +259,8 @@ class _Walk:
         if np.ndim(table.lo) == 1 and len(places) == 1 and np.prod(shape) == np.size(interval(places[0]).lo) == 1:
             size = table.lo.shape[0]
             low, high = (jnp.clip(jnp.reshape(end, ()), 0, size - 1) for end in interval(places[0]))
-            is_reached = (jnp.arange(size) >= low) & (jnp.arange(size) <= high)
+            place = jnp.arange(size, dtype=low.dtype)
+            is_reached = (place >= low) & (place <= high)
         low = jnp.min(jnp.where(is_reached, table.lo, _extreme(table.lo, 1)))
         high = jnp.max(jnp.where(is_reached, table.hi, _extreme(table.hi, -1)))
         return Interval(jnp.full(shape, low), jnp.full(shape, high))
@@ -296,7 +297,7 @@ def _as_pairs(values: Sequence[Enclosed]) -> list[Any]:
 
 def _where_possible(possible: Any, case: Enclosed) -> Enclosed:
     """The case, or what adds nothing to a hull where it is not possible."""
-    if isinstance(case, Truth) or interval(case).lo.dtype == bool:
+    if isinstance(case, Truth) or (is_point(case) and jnp.result_type(case) == bool):
         case = truth(case)
         return Truth(case.may & possible, case.may_not & possible)
     case = interval(case)

@@ -55,14 +55,18 @@ def is_point(value: Enclosed) -> bool:
 
 def interval(value: Enclosed) -> Interval:
     """A point as an interval of no width; a truth as one between 0 and 1."""
+    if isinstance(value, Interval):
+        return value
     if isinstance(value, Truth):
-        return Interval(jnp.where(value.may_not, 0, 1), jnp.where(value.may, 1, 0))
-    return value if isinstance(value, Interval) else Interval(value, value)
+        return Interval(jnp.logical_not(value.may_not).astype(int), value.may.astype(int))
+    point = jnp.asarray(value)
+    point = point.astype(int) if point.dtype == bool else point
+    return Interval(point, point)
 
 
 def truth(value: Enclosed) -> Truth:
     """A plain truth value as one that is certain."""
-    return value if isinstance(value, Truth) else Truth(value, jnp.logical_not(value))
+    return value if isinstance(value, Truth) else Truth(jnp.asarray(value), jnp.logical_not(value))
 
 
 def hull(values: list[Enclosed]) -> Enclosed:
@@ -295,15 +299,20 @@ def _round(rounding: Rounding, a: Interval, **params: Any) -> Interval:
 @rule("rem")
 def _rem(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
     """The remainder, with the sign of the numerator; as a whole period where the quotient can pass an integer."""
-    a, b = interval(a), interval(b)
-    ends = [jax.lax.rem(p, q) for p, q in zip(a, b, strict=True)]
+    is_same, a, b = has_one_quotient(a, b), interval(a), interval(b)
+    ends = [jax.lax.rem(p, b.lo) for p in a]
     largest = absolute(rounding, b).hi
-    quotients = [jnp.trunc(p / q) for p in a for q in b]
-    is_same = ft.reduce(jnp.maximum, quotients) == ft.reduce(jnp.minimum, quotients)
-    is_same = is_same & (b.lo == b.hi) & (a.lo * a.hi >= 0)
-    whole = Interval(jnp.where(a.lo < 0, -largest, 0), jnp.where(a.hi > 0, largest, 0))
+    none = jnp.zeros_like(largest)
+    whole = Interval(jnp.where(a.lo < 0, -largest, none), jnp.where(a.hi > 0, largest, none))
     known = rounding(Interval(jnp.minimum(*ends), jnp.maximum(*ends)))
     return Interval(jnp.where(is_same, known.lo, whole.lo), jnp.where(is_same, known.hi, whole.hi))
+
+
+def has_one_quotient(a: Enclosed, b: Enclosed) -> Any:
+    """Whether the whole part of a quotient is the same all over, so that the remainder does not jump."""
+    a, b = interval(a), interval(b)
+    low, high = (jnp.trunc(jnp.asarray(p, float) / jnp.asarray(b.lo, float)) for p in a)
+    return (b.lo == b.hi) & (low == high) & ((a.lo >= 0) | (a.hi <= 0))
 
 
 @rule("nextafter")

@@ -26,7 +26,8 @@ class Rounding(enum.Enum):
         if self is Rounding.NEAREST or not jnp.issubdtype(jnp.result_type(ends[0]), jnp.inexact):
             return ends
         low, high = ends
-        slack = (units - 1) * jnp.finfo(low.dtype).eps
-        down = jnp.nextafter(low - slack * jnp.abs(low), -jnp.inf)
-        up = jnp.nextafter(high + slack * jnp.abs(high), jnp.inf)
+        # The machine takes numbers below the smallest normal one for zero.
+        relative, absolute = (units - 1) * jnp.finfo(low.dtype).eps, jnp.finfo(low.dtype).tiny
+        down = jnp.nextafter(low - relative * jnp.abs(low) - absolute, -jnp.inf)
+        up = jnp.nextafter(high + relative * jnp.abs(high) + absolute, jnp.inf)
         return type(ends)(jnp.where(jnp.isinf(low), low, down), jnp.where(jnp.isinf(high), high, up))
