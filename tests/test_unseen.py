@@ -17,6 +17,10 @@ NODES = pytest.mark.parametrize("nodes", [FOUR, SIX], ids=["4 nodes", "6 nodes"]
 THETAS = np.linspace(0.0, 1.0, 4001)
 
 
+def step_of(start, end, nodes):
+    return Step(jnp.asarray(start), jnp.asarray(end), nodes)
+
+
 def missed_by_polynomial(function, step):
     """By how much the polynomial through the nodes is off, at most."""
     h, places = float(step.length), np.array(step.nodes.places)
@@ -124,7 +128,7 @@ FUNCTIONS = {
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_a_function_of_time_passes_what_was_seen_by_no_more_than_is_said(name, nodes):
     for start, length in ((0.0, 1.0), (0.05, 0.3)):
-        found = unseen(FUNCTIONS[name], Step(start, start + length, nodes))
+        found = unseen(FUNCTIONS[name], step_of(start, start + length, nodes))
         values = np.asarray(FUNCTIONS[name](jnp.asarray(start + length * THETAS)))
         seen = np.asarray(FUNCTIONS[name](jnp.asarray(start + length * np.array(nodes.few))))
         beyond = max(values.max() - seen.max(), seen.min() - values.min(), 0.0)
@@ -134,27 +138,22 @@ def test_a_function_of_time_passes_what_was_seen_by_no_more_than_is_said(name, n
 
 
 def test_a_monotone_function_hides_nothing():
-    found = unseen(lambda t: jnp.exp(3.0 * t), Step(0.0, 1.0, SIX))
+    found = unseen(lambda t: jnp.exp(3.0 * t), step_of(0.0, 1.0, SIX))
     assert float(found.amount) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_zigzag_hides_what_its_slopes_allow_between_two_nodes():
-    """Up at a and down at b between nodes of equal value and distance d: a b d / (a + b) at most.
-
-    The function has no closed range that an enclosure would find: t appears twice.
-    """
-    up, down = 4.0, 1.0
-    wave = lambda t: jnp.where(t < 0.1, up * t, 0.5 - down * t)  # noqa: E731
-    found = unseen(wave, Step(0.0, 0.5, Nodes((0.0, 1.0), few=(0.0, 1.0))))
-    # It may jump, as far as its program tells: its range is all that is known.
-    assert float(found.amount) == pytest.approx(0.4)
-    kinked = lambda t: jnp.minimum(up * t, 0.5 - down * t) - 0.0 * t  # noqa: E731
-    found = unseen(kinked, Step(0.0, 0.5, Nodes((0.0, 1.0), few=(0.0, 1.0))))
-    assert float(found.amount) >= 0.4 - 1e-12
+    """Up at a and down at b between nodes of equal value and distance d: a b d / (a + b), which is the least bound."""
+    up, down, d = 4.0, 1.0, 0.5
+    nodes = Nodes((0.0, 1.0), few=(0.0, 1.0))
+    found = unseen(lambda t: jnp.minimum(up * t, down * (d - t)), step_of(0.0, d, nodes))
+    assert float(found.amount) == pytest.approx(up * down * d / (up + down))
+    found = unseen(lambda t: jnp.maximum(-down * t, up * (t - d)), step_of(0.0, d, nodes))
+    assert float(found.amount) == pytest.approx(up * down * d / (up + down))
 
 
 def test_a_constant_is_a_point():
-    found = unseen(lambda t: jnp.asarray(-2.0), Step(0.0, 1.0, SIX))
+    found = unseen(lambda t: jnp.asarray(-2.0), step_of(0.0, 1.0, SIX))
     assert is_nothing(found.amount)
     assert (float(found.low), float(found.high)) == (-2.0, -2.0)
 

@@ -344,13 +344,13 @@ def _clamp(rounding: Rounding, low: Enclosed, a: Enclosed, high: Enclosed, **_: 
 @rule("lt", "lt_to")
 def _lt(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth(a.lo < b.hi, a.hi >= b.lo)
+    return Truth(~(a.lo >= b.hi), ~(a.hi < b.lo))  # an end that is NaN may be anything
 
 
 @rule("le", "le_to")
 def _le(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth(a.lo <= b.hi, a.hi > b.lo)
+    return Truth(~(a.lo > b.hi), ~(a.hi <= b.lo))
 
 
 @rule("gt")
@@ -366,7 +366,7 @@ def _ge(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
 @rule("eq")
 def _eq(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Truth:
     a, b = interval(a), interval(b)
-    return Truth((a.lo <= b.hi) & (a.hi >= b.lo), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
+    return Truth(~((a.lo > b.hi) | (a.hi < b.lo)), ~((a.lo == a.hi) & (b.lo == b.hi) & (a.lo == b.lo)))
 
 
 @rule("ne")
