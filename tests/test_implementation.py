@@ -132,6 +132,43 @@ def test_the_quasi_sliding_law_is_chattering_free_up_to_the_critical_period(fact
     assert (swings > 0.1) == (not is_free)
 
 
+@pytest.mark.parametrize(("factor", "reaching"), [(0.99, "HELD"), (1.01, "VIOLATED")])
+def test_reaching_is_judged_at_the_reaching_time(factor, reaching):
+    """Too little input for the funnel, not for the bandwidth: at full input from the start |sigma| = sigma_0 - u_max t,
+    outside the funnel until it falls through the bandwidth, a hundredth before the reaching time or after it."""
+    bandwidth, sigma0 = 0.2, 1.0
+    reaching_time = math.log(1.0 / (bandwidth - RHO)) / 2.0
+    time = factor * reaching_time
+    plan = qj.Implementation(1e-3, saturation=(sigma0 - bandwidth) / time)
+    run = qj.simulate(scalar_loop(plan), [sigma0], 3.0, bandwidth=bandwidth)
+    assert float(run.figures.reach_time) == pytest.approx(time, rel=1e-6)
+    assert run.verdict == qj.Verdict.VIOLATED
+    assert qj.Verdict(int(run.figures.verdict_reaching)).name == reaching
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("period", [1.0, 0.013])
+def test_the_excess_is_its_largest_value_also_between_samples(period, sign):
+    """At full input |sigma| = sigma_0 - v t, which leaves the funnel and comes back: |sigma| - rho is largest where
+    rho' = -v, that is where exp(-mu t) = v / (mu rho_0), in the middle of a hold."""
+    sigma0, v, mu = 1.0, 0.6, 2.0
+    run = qj.simulate(scalar_loop(qj.Implementation(period, saturation=v)), [sign * sigma0], 1.0)
+    time = math.log(mu / v) / mu
+    excess = sigma0 - v * time - v / mu - RHO
+    assert excess > 0.2
+    # Within 1e-6 of the funnel's width.
+    assert float(run.figures.sampled.peak_excess) == pytest.approx(excess, abs=1e-6 * (v / mu + RHO))
+
+
+def test_a_sampled_run_is_admissible_strictly_inside_the_funnel():
+    inside, edge = (
+        qj.simulate(scalar_loop(qj.Implementation(1e-3, saturation=4.0)), [x0], 0.01)
+        for x0 in ((1.0 - 1e-9) * (1.0 + RHO), 1.0 + RHO)
+    )
+    assert inside.verdict == qj.Verdict.HELD
+    assert edge.verdict == qj.Verdict.INADMISSIBLE
+
+
 def test_a_start_outside_is_no_premise_but_is_followed():
     """It comes back at full input: |sigma| = sigma_0 - g u_max t until it meets the funnel."""
     run = qj.simulate(scalar_loop(qj.Implementation(1e-3, saturation=2.0)), [3.0], T1)
