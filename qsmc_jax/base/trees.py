@@ -3,6 +3,7 @@
 import functools as ft
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -33,3 +34,8 @@ def is_finite(tree: Any) -> Bool[Array, ""]:
 def first(tree: Any) -> Any:
     """Entry 0 of every leaf."""
     return jax.tree.map(lambda leaf: leaf[0], tree)
+
+
+def stop_gradient(tree: Any) -> Any:
+    """The same numbers without their derivatives; what is no array, such as a function, stays what it is."""
+    return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf, tree)

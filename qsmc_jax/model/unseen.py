@@ -137,6 +137,14 @@ def is_known(plant: AbstractPlant) -> bool:
     return gain_range.dispatch(type(plant)) is not gain_range.dispatch(object)
 
 
+def is_own(signal: AbstractDisturbance) -> bool:
+    """Whether a disturbance is one of the library's, down to its parts."""
+    parts = [part for value in vars(signal).values() for part in (value if isinstance(value, tuple) else (value,))]
+    inner = [part for part in parts if isinstance(part, AbstractDisturbance)]
+    is_closed = unseen_in_signal.dispatch(type(signal)) is not unseen_in_signal.dispatch(object)
+    return is_closed and all(map(is_own, inner))
+
+
 def joined(parts: list[Unseen]) -> Unseen:
     """What a sum can hide, from what its terms can."""
     amounts = [part.amount for part in parts if not is_nothing(part.amount)]

@@ -98,6 +98,9 @@ class _Walk:
 
     def _result(self, name: str, eqn: JaxprEqn, operands: list[Enclosed]) -> Any:
         """The result of one operation, None if there is no rule for it."""
+        if name in ("eq", "ne") and eqn.invars[0] is eqn.invars[1]:  # a question for NaN, which no enclosure holds
+            like = interval(operands[0]).lo
+            return jnp.full(like.shape, name == "eq")
         if name in RULES:
             result = RULES[name](self.rounding, *operands, **eqn.params)
             if name in _JUMPING:
@@ -300,7 +303,7 @@ def _as_pairs(values: Sequence[Enclosed]) -> list[Any]:
 
 def _where_possible(possible: Any, case: Enclosed) -> Enclosed:
     """The case, or what adds nothing to a hull where it is not possible."""
-    if isinstance(case, Truth) or (is_point(case) and jnp.result_type(case) == bool):
+    if isinstance(case, Truth) or (is_point(case) and jnp.issubdtype(jnp.result_type(case), jnp.bool_)):
         case = truth(case)
         return Truth(case.may & possible, case.may_not & possible)
     case = interval(case)

@@ -135,11 +135,11 @@ def _beyond(range_: Interval, low: Array, high: Array) -> Float[Array, ""]:
     return jnp.where(jnp.isnan(beyond), jnp.inf, beyond)
 
 
-def _widest(times: Sequence[Array]) -> Array:
+def _widest(times: Sequence[RealScalarLike]) -> RealScalarLike:
     return ft.reduce(jnp.maximum, [b - a for a, b in zip(times, times[1:], strict=False)])
 
 
-def _climb(fn: Callable[[Array], Array], stretch: Interval, gap: Array, whole: Enclosure) -> Float[Array, ""]:
+def _climb(fn: Callable[[Array], Array], stretch: Interval, gap: RealScalarLike, whole: Enclosure) -> Float[Array, ""]:
     """How far up or down a path can lead that comes back at the end of the widest gap."""
     try:
         slope = enclose(lambda t: jax.jvp(fn, (t,), (jnp.ones_like(t),))[1], stretch)

@@ -11,9 +11,9 @@ counts |u| times as much.
 from collections.abc import Callable
 from typing import TypeAlias
 
-import jax
 import jax.numpy as jnp
 
+from qsmc_jax.base import trees
 from qsmc_jax.base.gudermann import sinh_cosh
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.implementation.implementation import Implementation
@@ -58,7 +58,7 @@ def hidden(
         ss: The funnel coordinate at its start and end.
         rtol: The relative tolerance.
     """
-    problem, (t0, t1), ys, ss = jax.lax.stop_gradient((problem, (step.t0, step.t1), ys, ss))
+    problem, (t0, t1), ys, ss = trees.stop_gradient((problem, (step.t0, step.t1), ys, ss))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     at = _path(problem, step, ys)
     pushes = _pushes(loop, step, at)
@@ -90,7 +90,7 @@ def hidden_in_cell(
         u: Largest input in it.
         rtol: The relative tolerance.
     """
-    problem, implementation, (t0, t1), u = jax.lax.stop_gradient((problem, implementation, (step.t0, step.t1), u))
+    problem, implementation, (t0, t1), u = trees.stop_gradient((problem, implementation, (step.t0, step.t1), u))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     gain = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.gain(t, at(t)), step)
     drift = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.drift(t, at(t)), step)

@@ -38,7 +38,7 @@ from qsmc_jax.simulation.tally import Problem
 
 # Bogacki and Shampine's pair of order 3(2): between samples, cells are short anyhow.
 _TABLEAU = dfx.Bosh3.tableau
-_NODES = Nodes((0.0, *map(float, _TABLEAU.c)), few=(0.0, 0.5, 1.0))
+_NODES = Nodes(tuple(sorted({0.0, *map(float, _TABLEAU.c)})), few=(0.0, 0.5, 1.0))
 # A run is lost once it is this many funnel widths away, or this many times as far as it started.
 _LOST = 1000.0
 _SHRINKS_BY, _GROWS_BY, _SAFETY = 0.2, 5.0, 0.9

@@ -19,7 +19,9 @@ from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.plants import require_no_state_jumps
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures, is_refused
+from qsmc_jax.simulation.finite import require_finite_functions
 from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.probed import said_of_probed
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import with_method
 from qsmc_jax.simulation.tally import Problem
@@ -154,6 +156,7 @@ class Trajectory(AbstractModule):
                 f"(t_r = {self.reaching_time:.6g} s)",
                 *_sampled_lines(f),
                 told,
+                *([f"  {probed}"] if (probed := said_of_probed(self.loop)) else []),
             )
         )
 
@@ -234,7 +237,8 @@ def simulate_drawn(
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     """Raises `ValueError` unless the start and the horizon fit the loop.
 
-    Nor may its plant jump in the state, or the derivatives of its reference contradict each other. Traced numbers pass.
+    Nor may its plant jump in the state, a function not be finite, or the reference's derivatives contradict each
+    other. Traced numbers pass.
     """
     require_shape("x0", x0, (loop.order,), f"the plant has order {loop.order}")
     require_finite("x0", x0)
@@ -242,6 +246,7 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     if loop.implementation is not None:
         loop.implementation.check(loop.order, t1)
     require_no_state_jumps(loop.plant)
+    require_finite_functions(loop, x0, t1)
     require_consistent(loop.reference, loop.order, t1)
 
 

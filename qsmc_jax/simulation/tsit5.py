@@ -31,7 +31,7 @@ class Tsit5(dfx.AbstractAdaptiveSolver):
     Source: Tsitouras (2011), Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption.
     """
 
-    nodes: ClassVar = Nodes((0.0, *map(float, _TABLEAU.c)), few=(0.0, float(_TABLEAU.c[1]), 1.0))
+    nodes: ClassVar = Nodes(tuple(sorted({0.0, *map(float, _TABLEAU.c)})), few=(0.0, float(_TABLEAU.c[1]), 1.0))
     term_structure: ClassVar = dfx.AbstractTerm
     interpolation_cls: ClassVar = QuarticInterpolation
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from qsmc_jax.base.notebook import as_html
 from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.probed import probed_functions, said_of_probed
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -148,6 +149,7 @@ class Verification:
             "bandwidth": float(self.study.bandwidth),
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": [{**dataclasses.asdict(claim), "verdict": claim.verdict.name} for claim in self.claims],
+            "probed": list(probed_functions(self.study.nominal.loop)),
             "numerical_error": dataclasses.asdict(self.numerical_error),
             "firmer": {"rtol": float(firmer.rtol), "max_steps": firmer.max_steps, "method": firmer.method},
             "escalated": list(self.escalated),
@@ -250,6 +252,8 @@ class Verification:
             counts = f"{c.held:9d}{c.violated:10d}{c.undecided:11d}{c.inadmissible:14d}"
             rows.append(f"{c.name:10}{counts}   [{c.low:.3g}, {c.high:.3g}]")
         rows.append(self.conclusion())
+        if probed := said_of_probed(self.study.nominal.loop):
+            rows.append(probed)
         if self.decision:
             rows.append(f"Stopped after {self.runs} runs: {self.decision}.")
         return "\n".join(rows)

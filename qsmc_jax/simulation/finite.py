@@ -1,0 +1,63 @@
+"""Whether what users wrote is finite, before anything is solved."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import is_traced, show
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.unseen import is_consistent, is_known, is_own
+
+_INSTANTS = 257
+
+
+def require_finite_functions(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> None:
+    """Raises if a function of the loop is not finite at some time of the horizon, at the start's state.
+
+    Traced numbers pass, and so does what the library brings: its numbers are checked by its constructors.
+
+    Args:
+        loop: The loop.
+        x0: The start, n numbers.
+        t1: The horizon [s].
+    """
+    is_ours = is_known(loop.plant) and is_consistent(loop.reference) and is_own(loop.disturbance)
+    if is_ours or is_traced(loop, x0, t1):
+        return
+    ts = np.linspace(0.0, float(t1), _INSTANTS)
+    for name, values in _values(loop, x0, ts).items():
+        is_bad = ~np.isfinite(values)
+        if np.any(is_bad):
+            at, value = ts[is_bad][0], values[is_bad][0]
+            where = f" and x = {show(x0)}" if name.startswith(("`drift`", "`gain`")) else ""
+            raise ValueError(
+                f"{name} must be finite, but is {show(value)} at t = {show(at)} s{where}. Guard what it divides by, "
+                "takes the root or the logarithm of: `jnp.where(is_fine, x, 1.0)` inside the function."
+            )
+
+
+@entry_point
+def _values(loop: ClosedLoop, x0: Any, ts: Float[np.ndarray, " times"]) -> dict[str, Any]:
+    plant, names = type(loop.plant).__name__, {}
+    drift, gain, disturbance, *desired = _evaluated(loop, jnp.asarray(x0), jnp.asarray(ts))
+    names[f"`drift` of `{plant}`"], names[f"`gain` of `{plant}`"] = drift, gain
+    names[f"`{type(loop.disturbance).__name__}`, a disturbance,"] = disturbance
+    for order, values in enumerate(desired):
+        names[f"Derivative {order} of `{type(loop.reference).__name__}`, a reference,"] = values
+    return names
+
+
+@eqx.filter_jit
+def _evaluated(loop: ClosedLoop, x0: Float[Array, " n"], ts: Float[Array, " times"]) -> tuple[Array, ...]:
+    def at(t: Array) -> tuple[Array, ...]:
+        x = tuple(x0[i] for i in range(loop.order))
+        values = loop.plant.drift(t, x), loop.plant.gain(t, x), loop.disturbance(t), *loop.desired(t)
+        return tuple(jnp.asarray(value, float) for value in values)
+
+    return jax.vmap(at)(ts)

@@ -1,0 +1,54 @@
+"""Which functions of a loop can only be probed within a step, not enclosed."""
+
+import jax
+import jax.numpy as jnp
+
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.unseen import is_known, unseen_in_reference, unseen_in_signal
+from qsmc_jax.numerics.unseen import Nodes, Step, Unseen, unseen
+
+_NODES = Nodes((0.0, 0.5, 1.0), few=(0.0, 0.5, 1.0))
+
+
+def probed_functions(loop: ClosedLoop) -> tuple[str, ...]:
+    """Functions that the guard could only look at in some thirty instants of a step, with the operations to blame.
+
+    Args:
+        loop: The loop.
+
+    Returns:
+        A text for each, such as "`drift` of `Mine` (`custom_call`)"; none for most loops.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+
+    def look(t0: jax.Array, t1: jax.Array, x: tuple[jax.Array, ...]) -> jax.Array:
+        step = Step(t0, t1, _NODES)
+        parts: dict[str, Unseen] = {f"`{type(loop.disturbance).__name__}`": unseen_in_signal(loop.disturbance, step)}
+        reference = unseen_in_reference(loop.reference, loop.order, step)
+        parts[f"`derivatives` of `{type(loop.reference).__name__}`"] = reference
+        for signal in () if loop.implementation is None else loop.implementation.unmatched:
+            parts[f"`{type(signal).__name__}`"] = unseen_in_signal(signal, step)
+        if not is_known(loop.plant):
+            for name in ("drift", "gain"):
+                method = getattr(loop.plant, name)
+                path = lambda t, method=method: method(t, tuple(xi * t for xi in x))  # noqa: E731
+                parts[f"`{name}` of `{type(loop.plant).__name__}`"] = unseen(path, step)
+        found.update({name: part.probed for name, part in parts.items()})
+        return jnp.zeros(())
+
+    number = jax.ShapeDtypeStruct((), float)
+    with jax.enable_x64(True):
+        jax.eval_shape(look, number, number, (number,) * loop.order)
+    listed = {name: ", ".join(f"`{operation}`" for operation in names) for name, names in found.items() if names}
+    return tuple(f"{name} ({operations})" for name, operations in listed.items())
+
+
+def said_of_probed(loop: ClosedLoop) -> str:
+    """A sentence on what could only be probed; empty if all was enclosed."""
+    names = probed_functions(loop)
+    if not names:
+        return ""
+    return (
+        f"Only probed between the steps' stages, not enclosed: {', '.join(names)}. What is narrower than a thirtieth "
+        "of a step may hide there."
+    )
