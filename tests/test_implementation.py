@@ -160,6 +160,47 @@ def test_the_excess_is_its_largest_value_also_between_samples(period, sign):
     assert float(run.figures.sampled.peak_excess) == pytest.approx(excess, abs=1e-6 * (v / mu + RHO))
 
 
+class Pushed(qj.AbstractPlant):
+    """x' = u + a exp(-((t - t_0) / b)^2), a push that it does not announce."""
+
+    height: float
+    at: float
+    width: float
+
+    order: ClassVar[int] = 1
+
+    def drift(self, t, x):
+        """The push."""
+        return self.height * jnp.exp(-(((t - self.at) / self.width) ** 2))
+
+    def gain(self, t, x):
+        """One."""
+        return 1.0
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-4])
+def test_a_short_push_inside_a_hold_is_met(width):
+    """From rest sigma jumps by the push's area, a sqrt(pi) b, within a hold, and stays there until the next sample."""
+    period, place, size = 0.2, 0.53, 0.06
+    plant = Pushed(size / (math.sqrt(math.pi) * width), place, width)
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL)
+    plan = qj.Implementation(period)
+    loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Zero(), control, plan)
+    run = qj.simulate(loop, [0.0], 0.6)
+    assert float(run.figures.peak_ratio) == pytest.approx(size / float(FUNNEL(0.6)), rel=1e-4)
+
+
+@pytest.mark.parametrize(("margin", "verdict"), [(5e-4, "HELD"), (-5e-4, "VIOLATED")])
+def test_a_run_leaves_by_however_little(margin, verdict):
+    """At full input |sigma| = sigma_0 - v t, which comes next to the funnel's edge where exp(-mu t) = v / (mu rho_0)."""
+    v, mu = 0.6, 2.0
+    time = math.log(mu / v) / mu
+    sigma0 = v * time + (1.0 - margin) * (v / mu + RHO)
+    run = qj.simulate(scalar_loop(qj.Implementation(1.0, saturation=v)), [sigma0], 1.0)
+    assert run.verdict.name == verdict
+    assert float(run.figures.margin) == pytest.approx(margin, rel=0.01)
+
+
 def test_a_sampled_run_is_admissible_strictly_inside_the_funnel():
     inside, edge = (
         qj.simulate(scalar_loop(qj.Implementation(1e-3, saturation=4.0)), [x0], 0.01)

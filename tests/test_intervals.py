@@ -215,3 +215,18 @@ def test_a_pole_has_no_bound(fn):
     found = one(fn, -0.1, 0.1).values[0]
     assert np.isinf(float(found.hi))
     assert np.all(np.isfinite(np.asarray(one(fn, 0.1, 0.2).values[0])))
+
+
+def test_a_comparison_with_an_end_that_is_not_known_may_be_either():
+    """NaN stands for an end of which nothing is known; a choice by such a comparison may be any of its cases."""
+    unknown = Interval(jnp.asarray(jnp.nan), jnp.asarray(jnp.nan))
+    for fn in (jnp.less, jnp.less_equal, jnp.greater, jnp.greater_equal, jnp.equal, jnp.not_equal):
+        for box in ((unknown, jnp.asarray(0.5)), (jnp.asarray(0.5), unknown)):
+            (found,) = enclose(fn, *box).values
+            assert bool(found.may)
+            assert bool(found.may_not)
+    (chosen,) = enclose(lambda x: jnp.where(x < 0.5, 1.0, -2.0), unknown).values
+    assert tuple(map(float, chosen)) == (-2.0, 1.0)
+    (place,) = enclose(lambda x: jnp.floor(x).astype(int), unknown).values
+    assert int(place.lo) < -(2**60)
+    assert int(place.hi) > 2**60
