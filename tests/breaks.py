@@ -1,7 +1,7 @@
 """Deliberate breaks of rules that decide verdicts, each of which must fail a test that is run by default.
 
-`python tests/breaks.py [NAME ...]` makes them one by one, in a temporary copy of the tree, and runs the tests named with
-each; a break that none of its tests notices survives, and the command fails. `--list` shows them. The table is
+`python tests/breaks.py [NAME ...]` makes them one by one, in a temporary copy of the tree, and runs the tests named
+with each; a break that none of its tests notices survives, and the command fails. `--list` shows them. The table is
 `tests/data/breaks.toml`.
 """
 
@@ -90,7 +90,9 @@ def copy_tree(place: Path) -> Path:
     return place
 
 
-def run_tests(root: Path, tests: Sequence[str], cache: Path, *options: str, write_bytecode: bool = False) -> tuple[int, str]:
+def run_tests(
+    root: Path, tests: Sequence[str], cache: Path, *options: str, write_bytecode: bool = False
+) -> tuple[int, str]:
     """Exit code and output of pytest in a tree."""
     environment = {
         **os.environ,
@@ -180,12 +182,12 @@ def _try_all(breaks: list[Break], place: Path, jobs: int, is_shown: bool) -> int
         for result in pool.map(lambda each: try_break(each, trees, cache), breaks):
             print(f"{result.seconds:6.1f} s  {result.state:9}  {result.name}", flush=True)
             results.append(result)
-    missed = [each for each in results if each.state != "noticed"]
+    missed, seconds = [each for each in results if each.state != "noticed"], time.perf_counter() - begin
     for each in missed:
         print(f"\n{each.state}: {each.name}")
         if is_shown:
             print(each.output)
-    print(f"\n{len(results) - len(missed)} of {len(results)} breaks were noticed, in {time.perf_counter() - begin:.0f} s")
+    print(f"\n{len(results) - len(missed)} of {len(results)} breaks were noticed, in {seconds:.0f} s")
     return 1 if missed else 0
 
 

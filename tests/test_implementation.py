@@ -192,7 +192,7 @@ def test_a_short_push_inside_a_hold_is_met(width):
 
 @pytest.mark.parametrize(("margin", "verdict"), [(5e-4, "HELD"), (-5e-4, "VIOLATED")])
 def test_a_run_leaves_by_however_little(margin, verdict):
-    """At full input |sigma| = sigma_0 - v t, which comes next to the funnel's edge where exp(-mu t) = v / (mu rho_0)."""
+    """At full input |sigma| = sigma_0 - v t, nearest to the funnel's edge where exp(-mu t) = v / (mu rho_0)."""
     v, mu = 0.6, 2.0
     time = math.log(mu / v) / mu
     sigma0 = v * time + (1.0 - margin) * (v / mu + RHO)

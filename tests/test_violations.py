@@ -209,7 +209,7 @@ def test_no_short_loss_of_the_gains_sign_is_stepped_over(width, rtol):
 
 
 def test_the_comparison_bound_has_the_motion_of_the_funnel():
-    """Without a push w = 0; where z is highest, z' = 0 and so g u = z rho': the bound is |rho'| / g, and |u| z times it."""
+    """Without a push w = 0; where z is highest z' = 0, so g u = z rho': the bound is |rho'| / g, |u| is z times it."""
     gain, funnel = 0.5, qj.Funnel(1.0, 3.0, 0.5)
     run = qj.simulate(problems.scalar_loop(funnel, gain_scale=gain), [0.3], 3.0, bandwidth=0.75)
     time, ratio = float(run.figures.peak_time), float(run.figures.peak_ratio)
