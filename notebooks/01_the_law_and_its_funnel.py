@@ -75,8 +75,8 @@ print(run)
 
 # %% [markdown]
 # `sup |sigma|/rho` is how close the run came to the edge: 0 is the middle, 1 is the edge. `margin` is what was left.
-# Three claims are judged: the *funnel* is kept, the bandwidth is *reached* in time, and the *tracking* error ends in
-# its bound.
+# Three claims are judged: the *funnel* is kept, the bandwidth is *reached* in time, and the *tracking* errors
+# keep their bounds from the time on at which the funnel guarantees it.
 #
 # The four pictures of the paper: output, error, input, and the sliding variable in its funnel. Every picture gives back
 # its axes, and can be drawn in axes of yours: `run.plot_funnel(ax=ax)`.

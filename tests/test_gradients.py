@@ -95,8 +95,8 @@ def peak(gains, gain_sign, rtol):
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, gains["mu"], gains["rho_inf"]), gain_sign)
     plant, reference = problems.chain(1)(drift_scale=1.0), qj.references.SumOfSines([1.0], [1.0])
     loop = qj.ClosedLoop(plant, reference, qj.disturbances.Sine(0.5, 3.0), control)
-    settings = qj.SolverSettings(rtol)
-    figures, _ = solve(pose(loop, 0.2, settings), (jnp.asarray(0.1),), jnp.asarray(4.0), settings)
+    settings, x0 = qj.SolverSettings(rtol), (jnp.asarray(0.1),)
+    figures, _ = solve(pose(loop, x0, 0.2, settings), x0, jnp.asarray(4.0), settings)
     return figures.peak_ratio, (figures.verdict, figures.peak_time)
 
 

@@ -326,11 +326,9 @@ def test_too_few_steps_are_undecided_and_a_violation_before_that_is_not():
     assert [lost.outcome, lost.verdict] == [qj.Outcome.MAX_STEPS, qj.Verdict.VIOLATED]
 
 
-def test_a_run_that_is_lost_has_broken_every_claim():
+def test_a_run_that_is_lost_never_recovers():
     lost = qj.simulate(scalar_loop(qj.Implementation(0.5)), [0.9], 200.0)
-    claims = [lost.verdict, int(lost.figures.verdict_reaching), int(lost.figures.verdict_tracking)]
-    assert lost.outcome == qj.Outcome.LOST
-    assert claims == [qj.Verdict.VIOLATED] * 3
+    assert [lost.outcome, lost.verdict] == [qj.Outcome.LOST, qj.Verdict.VIOLATED]
     assert math.isinf(lost.figures.sampled.recovery_time)
 
 

@@ -27,6 +27,7 @@ from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.hermite import Cubic
 from qsmc_jax.base.hurwitz import is_hurwitz
 from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import RealScalarLike
 
 _TRACED_POINTS = 128
 _POINTS = 1024
@@ -72,7 +73,7 @@ def _peak_gains(c: Float[Array | np.ndarray, " c"], points: int) -> Float[Array,
     degree = c.shape[0]
     stable = is_hurwitz(c)
     safe = jnp.where(stable, c, jnp.asarray([math.comb(degree, j) for j in range(degree)], c.dtype))
-    units = jax.lax.stop_gradient(_pole_bound(safe)) ** np.arange(degree, -1.0, -1.0)
+    units = jax.lax.stop_gradient(pole_bound(safe)) ** np.arange(degree, -1.0, -1.0)
     direct = jnp.zeros(degree + 1).at[-1].set(1.0)
     gains = (_variations(safe / units[:-1], points) + direct) / units
     return jnp.where(stable, gains, jnp.inf)
@@ -80,9 +81,9 @@ def _peak_gains(c: Float[Array | np.ndarray, " c"], points: int) -> Float[Array,
 
 def _variations(c: Float[Array, " c"], points: int) -> Float[Array, " n"]:
     """Total variations over (0, inf) of the step response and of the impulse responses."""
-    matrix = _companion(c)
+    matrix = companion(c)
     start = jnp.asarray(_impulse(len(c)))
-    carry = (jnp.asarray(_FIRST_STEP), start, _short_exponential(_FIRST_STEP * matrix))
+    carry = (jnp.asarray(_FIRST_STEP), start, short_exponential(_FIRST_STEP * matrix))
     (_, end, _), panels = jax.lax.scan(ft.partial(_panel, c, points), carry, length=_PANELS)
     tail = jnp.abs(_integrals(end[None], c)[0])
     return jnp.sum(panels, axis=0) + tail
@@ -95,13 +96,21 @@ def _panel(
     step, x, exponential = carry
     end, xs = jax.lax.scan(lambda x, _: (exponential @ x, x), x, length=points)
     xs = jnp.concatenate([xs, end[None]])
-    return (2.0 * step, end, exponential @ exponential), _variation(xs, c, step)
+    return (2.0 * step, end, exponential @ exponential), jnp.sum(variations(xs, c, step), axis=0)
 
 
-def _variation(xs: Float[Array, "points c"], c: Float[Array, " c"], step: Float[Array, ""]) -> Float[Array, " n"]:
-    """Total variations over consecutive states, each step a cubic through values and slopes at both ends."""
+def variations(xs: Float[Array, "points c"], c: Float[Array, " c"], step: RealScalarLike) -> Float[Array, "steps n"]:
+    r"""The integrals of $|h_i|$ over each step between consecutive states: total variations of the antiderivatives.
+
+    Each is that of the cubic through values and slopes at both ends.
+
+    Args:
+        xs: States of the impulse response.
+        c: Coefficients of the surface, lowest derivative first.
+        step: Time between them.
+    """
     value, slope = _integrals(xs, c), step * jnp.concatenate([xs, -(xs @ c)[:, None]], axis=1)
-    return jnp.sum(jnp.vectorize(_cubic_variation)(value[:-1], value[1:], slope[:-1], slope[1:]), axis=0)
+    return jnp.vectorize(_cubic_variation)(value[:-1], value[1:], slope[:-1], slope[1:])
 
 
 def _cubic_variation(y0: Array, y1: Array, m0: Array, m1: Array) -> Float[Array, ""]:
@@ -117,7 +126,7 @@ def _integrals(xs: Float[Array, "points c"], c: Float[Array, " c"]) -> Float[Arr
     return jnp.concatenate([first[:, None], xs], axis=1)
 
 
-def _short_exponential(matrix: Float[Array | np.ndarray, "*times c c"]) -> Any:
+def short_exponential(matrix: Float[Array | np.ndarray, "*times c c"]) -> Any:
     """The exponential of a matrix of norm well below 1, by Horner's scheme."""
     unit = np.eye(matrix.shape[-1])
     total = unit
@@ -126,12 +135,13 @@ def _short_exponential(matrix: Float[Array | np.ndarray, "*times c c"]) -> Any:
     return total
 
 
-def _companion(c: Float[Array | np.ndarray, " c"]) -> Any:
+def companion(c: Float[Array | np.ndarray, " c"]) -> Any:
+    """The matrix A of the errors without sliding variable."""
     xp = jnp if is_traced(c) else np
     return xp.concatenate([np.eye(len(c), k=1)[:-1], -c[None]])
 
 
-def _pole_bound(c: Float[Array | np.ndarray, " c"]) -> Any:
+def pole_bound(c: Float[Array | np.ndarray, " c"]) -> Any:
     """Fujiwara's bound on the size of the poles."""
     xp = jnp if is_traced(c) else np
     halved = xp.concatenate([0.5 * xp.abs(c[:1]), xp.abs(c[1:])])
@@ -144,11 +154,11 @@ def poles(c: Float[np.ndarray, " c"]) -> Complex[np.ndarray, " c"]:
 
 
 def _points_for(c: Float[np.ndarray, " c"]) -> int:
-    doublings = max(0, math.ceil(math.log2(_damping_ratio(c) / _RESOLVED_RATIO)))
+    doublings = max(0, math.ceil(math.log2(damping_ratio(c) / _RESOLVED_RATIO)))
     return min(_POINTS * 2**doublings, _MOST_POINTS)
 
 
-def _damping_ratio(c: Float[np.ndarray, " c"]) -> float:
+def damping_ratio(c: Float[np.ndarray, " c"]) -> float:
     """The largest |Im| / |Re| of a pole, at least 1."""
     roots = poles(c)
     return float(np.max(np.abs(np.imag(roots) / np.real(roots)), initial=1.0))
@@ -182,7 +192,7 @@ def error_envelope(
     bound = (rho0 * np.exp(-mu * ts) + rho_inf)[:, None] * (np.arange(len(c) + 1) == len(c))
     if len(c) == 0 or len(ts) == 0:
         return bound
-    scale = float(_pole_bound(c))
+    scale = float(pole_bound(c))
     units = scale ** np.arange(len(c), -1, -1)
     c, ts, mu = c / units[:-1], ts * scale, mu / scale
     flat, fading = _faded_integrals(c, ts, mu)
@@ -207,7 +217,7 @@ def _faded_integrals(
 
 def _edges(c: Float[np.ndarray, " c"], ts: Float[np.ndarray, " times"], mu: float) -> Float[np.ndarray, " edges"]:
     """The times asked for, and between them steps that grow with time as far as the poles and the funnel allow."""
-    first, growth = 0.25, 1.0 / (16.0 * _damping_ratio(c))
+    first, growth = 0.25, 1.0 / (16.0 * damping_ratio(c))
     steps = math.ceil(math.log1p(ts.max() * growth / first) / math.log1p(growth))
     growing = first / growth * ((1.0 + growth) ** np.arange(steps) - 1.0)
     return np.unique(np.concatenate([[0.0], ts, growing[growing < ts.max()], np.arange(0.0, ts.max(), 0.5 / mu)]))
@@ -232,7 +242,7 @@ def _responses(
 ) -> Float[np.ndarray, "times n"]:
     r"""$e, \dots, e^{(n-1)}$ at times `ts` for $\sigma = 0$, from the given errors, by scaling and squaring."""
     squarings = math.ceil(math.log2(max(1.0, ts.max(initial=0.0) / _FIRST_STEP)))
-    power = _short_exponential(_companion(c) * (ts / 2.0**squarings)[:, None, None])
+    power = short_exponential(companion(c) * (ts / 2.0**squarings)[:, None, None])
     for _ in range(squarings):
         power = power @ power
     x = power @ start

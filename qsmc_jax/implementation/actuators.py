@@ -4,13 +4,34 @@ Between two changes of the command their motion is known in closed form, so that
 """
 
 import abc
+import functools as ft
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+
+
+class Swing(NamedTuple):
+    """What an input does over a stretch of time: its total variation, its largest size, the integral of its square."""
+
+    variation: RealScalarLike
+    peak: RealScalarLike
+    energy: RealScalarLike
+
+
+def held_swing(command: RealScalarLike, dt: RealScalarLike) -> Swing:
+    """That of an input that stands still.
+
+    Args:
+        command: The command that is held.
+        dt: Time [s] that passes.
+    """
+    return Swing(jnp.zeros_like(dt), jnp.abs(command), dt * command**2)
 
 
 class AbstractActuator(AbstractModule):
@@ -32,6 +53,16 @@ class AbstractActuator(AbstractModule):
     @abc.abstractmethod
     def move(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Scalars:
         """Its state a time `dt` [s] later, under a constant command.
+
+        Args:
+            state: What `rest` or an earlier `move` gave.
+            command: The command that is held.
+            dt: Time [s] that passes, not negative.
+        """
+
+    @abc.abstractmethod
+    def swing(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Swing:
+        """What the input does meanwhile, exactly: however fast it is, nothing of it is read off a grid.
 
         Args:
             state: What `rest` or an earlier `move` gave.
@@ -72,6 +103,15 @@ class FirstOrderLag(AbstractActuator):
         decay = jnp.exp(-dt / jnp.where(has_lag, self.time_constant, 1.0))
         return (command + (state[0] - command) * jnp.where(has_lag, decay, 0.0),)
 
+    def swing(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Swing:
+        has_lag = self.time_constant > 0.0
+        lost = -jnp.expm1(-dt / jnp.where(has_lag, self.time_constant, 1.0))
+        y = jnp.where(has_lag, state[0] - command, 0.0)
+        end = command + y * (1.0 - lost)
+        # notation: u = command + y exp(-t / T), so that the integral of u - command is T (y - y(end))
+        energy = command**2 * dt + self.time_constant * y * lost * (2.0 * command + 0.5 * y * (2.0 - lost))
+        return Swing(jnp.abs(y * lost), jnp.maximum(jnp.abs(command + y), jnp.abs(end)), energy)
+
     def is_valid(self) -> BoolScalarLike:
         return self.time_constant >= 0.0
 
@@ -111,8 +151,49 @@ class SecondOrderLag(AbstractActuator):
         rate = v * cosine - (y + self.damping * v) * sine
         return command + y * cosine + drive * sine, rate
 
+    def swing(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Swing:
+        # notation: as in `move`; an index 1 is for the first turn, 2 for the second, `end` for the end
+        zeta, y, v = self.damping, state[0] - command, state[1]
+        u_end, v_end = self.move(state, command, dt)
+        y_end, phase = u_end - command, self.frequency * dt
+        first, period = _turns(zeta, y, v)
+        turns_left = jnp.where(first <= phase, jnp.floor((phase - first) / period), 0.0)  # after the first one
+        cosine, sine = _damped_pair(zeta, jnp.where(first <= phase, first, 0.0))
+        y1 = y * cosine + (v + zeta * y) * sine
+        shrinks = jnp.exp(-zeta * period)  # from turn to turn, where the sign changes too
+        full = (1.0 + shrinks) * (1.0 - shrinks**turns_left) / (1.0 - shrinks)
+        y_last = y1 * (-shrinks) ** turns_left
+        variation = jnp.abs(y1 - y) + jnp.abs(y1) * full + jnp.abs(y_end - y_last)
+        y2 = jnp.where(turns_left > 0.0, -shrinks * y1, y1)
+        peak = ft.reduce(jnp.maximum, (jnp.abs(command + each) for each in (y, y1, y2, y_end)))
+        # From y'' + 2 zeta y' + y = 0: the integrals over the phase of y and of its square, by what changes.
+        once = (v - v_end) + 2.0 * zeta * (y - y_end)
+        squared = y * y - y_end * y_end
+        twice = (squared + v * v - v_end * v_end) / (4.0 * zeta) + zeta * squared + (y * v - y_end * v_end)
+        return Swing(variation, peak, command**2 * dt + (2.0 * command * once + twice) / self.frequency)
+
     def is_valid(self) -> BoolScalarLike:
         return (self.frequency > 0.0) & (self.damping > 0.0)
+
+
+def _turns(damping: RealScalarLike, y: RealScalarLike, v: RealScalarLike) -> tuple[RealScalarLike, RealScalarLike]:
+    r"""The phase of the first turn, and that between one and the next; `inf` where there is none.
+
+    The rate is $v \cos q\phi - b \sin q\phi / q$ with $b = y + \zeta v$, but for the decay.
+    """
+    discriminant = 1.0 - damping * damping
+    oscillates, is_critical = discriminant > 0.0, jnp.abs(discriminant) < 1e-12
+    q = jnp.sqrt(jnp.where(is_critical, 1.0, jnp.abs(discriminant)))
+    b = y + damping * v
+    ratio = jnp.where(b == 0.0, jnp.inf, v / jnp.where(b == 0.0, 1.0, b))
+    angle = jnp.arctan(q * ratio)
+    oscillating = jnp.where(angle < 0.0, angle + jnp.pi, angle) / q
+    turns_once = (ratio >= 0.0) & (q * ratio < 1.0)
+    creeping = jnp.where(turns_once, jnp.arctanh(jnp.where(turns_once, q * ratio, 0.0)) / q, jnp.inf)
+    critical = jnp.where((ratio >= 0.0) & (ratio < jnp.inf), ratio, jnp.inf)
+    first = jnp.where(is_critical, critical, jnp.where(oscillates, oscillating, creeping))
+    first, period = jax.lax.stop_gradient((first, jnp.where(oscillates & ~is_critical, jnp.pi / q, jnp.inf)))
+    return first, period
 
 
 def _damped_pair(damping: RealScalarLike, phase: RealScalarLike) -> tuple[RealScalarLike, RealScalarLike]:

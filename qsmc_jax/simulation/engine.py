@@ -12,6 +12,7 @@ from qsmc_jax.base.fence import Fence
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
+from qsmc_jax.control.settling import settling_time
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.coordinates import named_coordinates
@@ -30,15 +31,18 @@ from qsmc_jax.simulation.tsit5 import Tsit5
 _FIRST_STEP = 1e-3
 
 
-def pose(loop: ClosedLoop, bandwidth: RealScalarLike, settings: SolverSettings) -> Problem:
-    """The problem of solving a loop: its thresholds and the coordinates that the settings name."""
-    gains = peak_gains(loop.control.surface.c)
+def pose(loop: ClosedLoop, x0: State, bandwidth: RealScalarLike, settings: SolverSettings) -> Problem:
+    """The problem of solving a loop from a start: its thresholds and the coordinates that the settings name."""
+    surface, funnel = loop.control.surface, loop.control.funnel
+    gains = peak_gains(surface.c)
+    bounds = tuple(bandwidth * gains[i] for i in range(loop.order))
     return Problem(
         loop=loop,
         coordinates=named_coordinates(settings.coordinates),
         bandwidth=bandwidth,
-        reaching_time=loop.control.funnel.reaching_time(bandwidth),
-        error_bounds=tuple(bandwidth * gains[i] for i in range(loop.order)),
+        reaching_time=funnel.reaching_time(bandwidth),
+        error_bounds=bounds,
+        settling_time=settling_time(surface.c, funnel, bandwidth, bounds, loop.errors(0.0, x0)),
         fence=Fence(settings.rtol / settings.rtol),
     )
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from qsmc_jax.base.hermite import Cubic
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.implementation.actuators import Swing
 from qsmc_jax.loop import Terms
 from qsmc_jax.simulation.tally import Problem
 
@@ -72,6 +73,7 @@ class Cell(AbstractModule):
         u0: The plant's input at its beginning.
         middle: The plant's input at its middle.
         u1: The plant's input at its end.
+        swing: What the input does in it.
     """
 
     left: Instant
@@ -79,6 +81,7 @@ class Cell(AbstractModule):
     u0: RealScalarLike
     middle: RealScalarLike
     u1: RealScalarLike
+    swing: Swing
 
     @property
     def length(self) -> RealScalarLike:

@@ -64,8 +64,8 @@ _ADVICE = {
     "is not finite, or jumps in the state where the run sticks (`qj.smoothed` has friction that does not).",
     Outcome.BEYOND_RESOLUTION: "Came closer to the funnel's edge than float64 resolves, with the input still pushing "
     "back: the disturbance or drift is huge against the gain.",
-    Outcome.LOST: "Left the funnel for good, a thousand of its widths away, and was not followed further: sample "
-    "faster, or allow more input.",
+    Outcome.LOST: "Got a thousand funnel widths away, and was not followed further, so that later claims are open "
+    "unless they were broken before: sample faster, or allow more input.",
     Outcome.UNRESOLVED: "What the drift, gain, disturbance or reference may do within the shortest step could not be "
     "ruled out: one has no bound there, or the reference jumps and the plant with it.",
     Outcome.QUEUE_FULL: "The delay is longer than the samples that can be under way: raise `queue` of the "

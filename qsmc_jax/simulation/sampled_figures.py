@@ -4,10 +4,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.simulation.figures import Figures, SampledFigures, first_to_apply, last_outside, later_verdicts
+from qsmc_jax.simulation.figures import (
+    Figures,
+    SampledFigures,
+    first_to_apply,
+    is_since,
+    last_outside,
+    later_verdicts,
+)
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.sampled_loop import Course
-from qsmc_jax.simulation.tally import Problem
+from qsmc_jax.simulation.tally import Problem, Span
 
 
 def read_sampled_figures(
@@ -22,8 +29,8 @@ def read_sampled_figures(
     is_complete, is_lost = outcome == Outcome.COMPLETED, outcome == Outcome.LOST
     reach_time = last_outside(cells.outside, problem.bandwidth, end_time)
     recovery_time = last_outside(cells.last_exit, 1.0, end_time)
-    settle_time = jnp.where(cells.unsettled_time >= end_time, jnp.inf, cells.unsettled_time)
-    verdict, reaching, tracking = _verdicts(problem, outcome, horizon, course, reach_time, settle_time)
+    settle_time = jnp.where(cells.unsettled.end >= end_time, jnp.inf, cells.unsettled.end)
+    verdict, reaching, tracking = _verdicts(problem, outcome, horizon, course)
     steady = end_time - problem.reaching_time
     is_steady = is_complete & (steady > 0.0)
 
@@ -78,24 +85,19 @@ def _outcome(refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, c
 
 
 def _verdicts(
-    problem: Problem,
-    outcome: Int[Array, ""],
-    horizon: RealScalarLike,
-    course: Course,
-    reach_time: RealScalarLike,
-    settle_time: RealScalarLike,
+    problem: Problem, outcome: Int[Array, ""], horizon: RealScalarLike, course: Course
 ) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
     """The verdicts on the three claims of Theorem 1, each on its own: a run may leave the funnel and come back.
 
-    A run that was lost has broken all three; one that could not be finished decides only the first, and only if it has
-    left the funnel.
+    So a run that was lost, or could not be finished, decides a claim only if it broke it while it was followed.
     """
     held, violated, undecided, inadmissible = (int(verdict) for verdict in Verdict)
-    is_complete = outcome == Outcome.COMPLETED
-    unfinished = jnp.where(outcome == Outcome.LOST, violated, undecided)
-    has_left = course.cells.first_exit.length > 0.0
-    funnel = jnp.where(has_left, violated, jnp.where(is_complete, held, unfinished))
-    later = later_verdicts(problem, is_complete, unfinished, horizon, reach_time, settle_time)
+    cells, is_complete = course.cells, outcome == Outcome.COMPLETED
+    funnel = jnp.where(is_complete, held, undecided)
+    funnel = jnp.where(cells.first_exit.length > 0.0, violated, funnel)
+    last_far = Span(cells.outside.start, cells.outside.start + cells.outside.length)
+    is_broken = is_since(last_far, problem.reaching_time), is_since(cells.unsettled, problem.settling_time)
+    later = later_verdicts(problem, horizon, is_broken, (is_complete, is_complete))
     is_admitted = (outcome != Outcome.BAD_PARAMETERS) & ~course.starts_outside
     funnel, reaching, tracking = (jnp.where(is_admitted, verdict, inadmissible) for verdict in (funnel, *later))
     return funnel, reaching, tracking

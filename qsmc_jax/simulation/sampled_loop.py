@@ -20,6 +20,7 @@ from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.control.control import Sample
+from qsmc_jax.implementation.actuators import held_swing
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.numerics.unseen import Nodes, Step
 from qsmc_jax.simulation.explicit import explicit_stages, weighted
@@ -189,7 +190,8 @@ def _in_step(plan: Plan, carry: tuple[Course, BoolScalarLike]) -> tuple[Course, 
 def _plan(problem: Problem, implementation: Implementation, horizon: RealScalarLike, settings: SolverSettings) -> Plan:
     loop, funnel = problem.loop, problem.loop.control.funnel
     # A cell ends just before a jump, and the next one, of no length, takes it.
-    breaks = jnp.append(loop.break_times, problem.reaching_time)
+    judged_from = jnp.stack([jnp.asarray(problem.reaching_time), jnp.asarray(problem.settling_time)])
+    breaks = jnp.concatenate([loop.break_times, judged_from])
     fixed = jax.lax.stop_gradient(breaks)
     just_before = jnp.where(jnp.isfinite(fixed), jnp.nextafter(fixed, -jnp.inf) - fixed, 0.0)
     breaks = jnp.concatenate([breaks + just_before, breaks])
@@ -270,7 +272,9 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
     h = end - now.t
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
     allowed = plan.rtol * (small_scale(course.cells.peak_ratio) * right.rho + jnp.abs(right.sigma))
-    cell = Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end))
+    actuator, held = plan.implementation.actuator, course.computer.held
+    swing = held_swing(held, h) if actuator is None else actuator.swing(course.actuator, held, h)
+    cell = Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end), swing)
     largest = ft.reduce(jnp.maximum, map(jnp.abs, (cell.u0, cell.middle, cell.u1)))
     path = _path(now, h, x1, first, stages[-1])
     hides = hidden_in_cell(plan.problem, plan.implementation, Step(now.t, end, _NODES), path, largest, plan.rtol)

@@ -10,7 +10,7 @@ from qsmc_jax.base.hermite import Cubic, integral_of_square
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.simulation.instant import Cell, Instant
-from qsmc_jax.simulation.tally import OutsideStep, Problem
+from qsmc_jax.simulation.tally import OutsideStep, Problem, Span
 
 # A reversal of the command counts if it is more than this part of the range of the commands so far.
 HYSTERESIS = 0.01
@@ -63,7 +63,7 @@ class CellTally(AbstractModule):
     """The figures of the plant and its input, all scalars; see `Figures` for what becomes of them.
 
     `first_exit` is the first cell with |z| >= 1 somewhere, `last_exit` the last, `outside` the last with |sigma| >=
-    bandwidth.
+    bandwidth, `unsettled` the last in which an error reached its bound.
     """
 
     peak_ratio: RealScalarLike
@@ -72,7 +72,7 @@ class CellTally(AbstractModule):
     first_exit: OutsideStep
     last_exit: OutsideStep
     outside: OutsideStep
-    unsettled_time: RealScalarLike
+    unsettled: Span
     peak_errors: Scalars
     peak_u: RealScalarLike
     last_u: RealScalarLike
@@ -97,7 +97,7 @@ def first_cell_tally(problem: Problem, start: Instant) -> CellTally:
         first_exit=none,
         last_exit=none,
         outside=none,
-        unsettled_time=zero,
+        unsettled=Span(zero, zero),
         peak_errors=(zero,) * problem.loop.order,
         peak_u=zero,
         last_u=zero,
@@ -119,7 +119,7 @@ def first_command_tally() -> CommandTally:
 
 
 def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: Cell) -> CellTally:
-    """The figures after one more cell. No cell has the reaching time inside."""
+    """The figures after one more cell. No cell has the reaching or the settling time inside."""
     t0, t1, h = cell.left.t, cell.right.t, cell.length
     is_steady = t0 >= problem.reaching_time
     sigma, z, errors = cell.sigma(), cell.ratio(), cell.errors()
@@ -130,7 +130,7 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
     is_far = problem.fence.claim((h > 0.0) & (_height(sigma) >= problem.bandwidth))
     heights = problem.fence(tuple(_height(cubic) for cubic in errors))
     jump = jnp.where(t0 > 0.0, jnp.abs(cell.u0 - tally.last_u), 0.0)
-    change = jump + jnp.abs(cell.middle - cell.u0) + jnp.abs(cell.u1 - cell.middle)
+    change = jump + cell.swing.variation
     equivalent = jnp.abs(cell.right.equivalent_input - cell.left.equivalent_input)
     gain = problem.loop.control.gain_sign * cell.right.terms.gain
     left = errors[0].y0, cell.left.error_rates(cell.u0)[0]
@@ -142,14 +142,14 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         first_exit=trees.where(is_out & (tally.first_exit.length == 0.0), exit_, tally.first_exit),
         last_exit=trees.where(is_out, exit_, tally.last_exit),
         outside=trees.where(is_far, OutsideStep(t0, h, sigma), tally.outside),
-        unsettled_time=jnp.where(_exceeds(problem, heights), t1, tally.unsettled_time),
+        unsettled=trees.where(problem.fence.claim(_exceeds(problem, heights)), Span(t0, t1), tally.unsettled),
         peak_errors=trees.where(is_steady, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors),
-        peak_u=ft.reduce(jnp.maximum, (tally.peak_u, *map(jnp.abs, (cell.u0, cell.middle, cell.u1)))),
+        peak_u=jnp.maximum(tally.peak_u, cell.swing.peak),
         last_u=cell.u1,
         total_variation=tally.total_variation + change,
         steady_variation=tally.steady_variation + jnp.where(is_steady, change, 0.0),
         equivalent_variation=tally.equivalent_variation + jnp.where(is_steady, equivalent, 0.0),
-        energy=tally.energy + h / 6.0 * (cell.u0**2 + 4.0 * cell.middle**2 + cell.u1**2),
+        energy=tally.energy + cell.swing.energy,
         squared_error=tally.squared_error + integral_of_square(h, left, right),
         filter=_filtered(tally.filter, cell, cutoff, is_steady),
         least_gain=jnp.minimum(tally.least_gain, gain),

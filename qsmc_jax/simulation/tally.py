@@ -34,6 +34,7 @@ class Problem(AbstractModule):
         bandwidth: The bandwidth of quasi-sliding mode, epsilon, of the sliding variable.
         reaching_time: t_r [s], after which errors count as steady; `inf` if there is none.
         error_bounds: What |sigma| < epsilon implies for each error, n scalars.
+        settling_time: t_s [s], from which on the funnel guarantees that the errors keep their bounds; `inf` if never.
         fence: Around what is used more than once.
     """
 
@@ -42,6 +43,7 @@ class Problem(AbstractModule):
     bandwidth: RealScalarLike
     reaching_time: RealScalarLike
     error_bounds: Scalars
+    settling_time: RealScalarLike
     fence: Fence
 
 
@@ -61,14 +63,24 @@ class OutsideStep(AbstractModule):
     cubic: Cubic
 
 
+class Span(AbstractModule):
+    """A step by the times [s] at which it starts and ends; both are 0 if there is none."""
+
+    start: RealScalarLike
+    end: RealScalarLike
+
+
 class Tally(AbstractModule):
-    """The running figures of one run, all scalars; see `Figures` for what becomes of them."""
+    """The running figures of one run, all scalars; see `Figures` for what becomes of them.
+
+    `unsettled` is the last step in which an error reached its bound.
+    """
 
     errors: Scalars
     u: RealScalarLike
     peak: Peak
     outside: OutsideStep
-    unsettled_time: RealScalarLike
+    unsettled: Span
     peak_errors: Scalars
     total_variation: RealScalarLike
     energy: RealScalarLike
@@ -118,7 +130,7 @@ def first_tally(problem: Problem, y0: Scalars) -> Tally:
         u=sinh_cosh(s0)[0],
         peak=Peak(jnp.abs(s0), zero, _scalars(y0)),
         outside=OutsideStep(zero, zero, Cubic(zero, zero, zero, zero)),
-        unsettled_time=zero,
+        unsettled=Span(zero, zero),
         peak_errors=(zero,) * loop.order,
         total_variation=zero,
         energy=zero,
@@ -140,6 +152,7 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
     steady_from = jnp.clip((problem.reaching_time - step.t0) / jnp.where(h > 0.0, h, 1.0), 0.0, 1.0)
     heights = problem.fence(tuple(cubic.largest(steady_from) for cubic in _error_cubics(left, right, h)))
     sigma_height = problem.fence(sigma.largest())
+    exceeds = problem.fence.claim(_exceeds(problem, heights, left.errors))
     peak = _peak(problem, step, s)
     gain, disturbance = _premises(loop, t1, right.errors)
     return Tally(
@@ -147,7 +160,7 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
         u=u1,
         peak=trees.where(peak.height > tally.peak.height, peak, tally.peak),
         outside=trees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), tally.outside),
-        unsettled_time=jnp.where(_exceeds(problem, heights, left.errors), t1, tally.unsettled_time),
+        unsettled=trees.where(exceeds, Span(step.t0, t1), tally.unsettled),
         peak_errors=trees.where(
             t1 > problem.reaching_time, tuple(map(jnp.maximum, heights, tally.peak_errors)), tally.peak_errors
         ),
@@ -206,7 +219,10 @@ def _scalars(values: Any) -> Scalars:
 
 
 def _variation_of_input(u0: RealScalarLike, turns: Scalars, u1: RealScalarLike) -> RealScalarLike:
-    """The total variation of |u| = sinh s over the step: u is monotone between the turning points of s."""
+    """The total variation of |u| = sinh s over the step: u is monotone between the turning points of s.
+
+    No step is so long that the method would chatter (see `GuardedSolver`), which would be summed here.
+    """
     inputs = [u0, *(sinh_cosh(s)[0] for s in turns), u1]
     return sum(jnp.abs(b - a) for a, b in it.pairwise(inputs))
 

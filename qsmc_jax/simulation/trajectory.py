@@ -46,6 +46,7 @@ class Trajectory(AbstractModule):
         loop: The loop that was solved.
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         error_bounds: What |sigma| < bandwidth implies for each error in the end.
+        settling_time: t_s [s], from which on the funnel guarantees that the errors keep these bounds.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -66,6 +67,7 @@ class Trajectory(AbstractModule):
     loop: ClosedLoop
     bandwidth: RealScalarLike
     error_bounds: Float[Array | np.ndarray, " n"]
+    settling_time: RealScalarLike
 
     @property
     def outcome(self) -> Outcome:
@@ -154,6 +156,8 @@ class Trajectory(AbstractModule):
                 f"total variation {float(f.total_variation_u):.6g}",
                 f"  |sigma| < {float(self.bandwidth):.4g} for good after {float(f.reach_time):.6g} s "
                 f"(t_r = {self.reaching_time:.6g} s)",
+                f"  |e^(i)| within their bounds for good after {float(f.settle_time):.6g} s "
+                f"(t_s = {float(self.settling_time):.6g} s)",
                 *_sampled_lines(f),
                 told,
                 *([f"  {probed}"] if (probed := said_of_probed(self.loop)) else []),
@@ -260,7 +264,7 @@ def _simulate(
     settings: SolverSettings,
     is_drawn_well: BoolScalarLike,
 ) -> Trajectory:
-    problem = pose(loop, bandwidth, settings)
+    problem = pose(loop, tuple(x0[i] for i in range(loop.order)), bandwidth, settings)
     return _solve_and_sample(problem, x0, t1, ts, settings, is_drawn_well)
 
 
@@ -283,7 +287,8 @@ def _solve_and_sample(
     x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (x, e))
     sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (sigma, u))
     bounds = jnp.stack([jnp.asarray(bound) for bound in problem.error_bounds])
-    return Trajectory(jnp.asarray(ts), x, desired, e, sigma, rho, u, d, figures, loop, problem.bandwidth, bounds)
+    told = figures, loop, problem.bandwidth, bounds, problem.settling_time
+    return Trajectory(jnp.asarray(ts), x, desired, e, sigma, rho, u, d, *told)
 
 
 def _signals(problem: Problem, t: Array, y: tuple[Array, ...]) -> tuple[Array, ...]:

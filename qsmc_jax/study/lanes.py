@@ -167,7 +167,7 @@ def run(
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    problem = pose(made.loop, bandwidth, settings)
+    problem = pose(made.loop, x0, bandwidth, settings)
     figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
 

@@ -19,7 +19,7 @@ from qsmc_jax.verification.summary import Summary
 _STATEMENTS = {
     "funnel": "|sigma(t)| < rho(t) for all t",
     "reaching": "|sigma(t)| < bandwidth for all t >= t_r",
-    "tracking": "the errors end inside the bound that |sigma| < bandwidth implies",
+    "tracking": "|e^(i)(t)| <= bandwidth ||G_i||_1 for all t >= t_s and all i",
 }
 
 

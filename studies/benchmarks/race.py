@@ -210,7 +210,8 @@ def gradient_cost(runs: int, repeats: int) -> dict[str, float]:
         def rms_error(point: Any) -> Any:
             settings = qj.SolverSettings(rtol, method="tsit5", adjoint="forward")
             made = example1(PointDraw(point, gains))
-            figures, _ = engine.solve(engine.pose(made.loop, 0.1, settings), tuple(made.x0), made.t1, settings)
+            x0 = tuple(made.x0)
+            figures, _ = engine.solve(engine.pose(made.loop, x0, 0.1, settings), x0, made.t1, settings)
             return figures.rms_error + figures.peak_ratio
 
         return jnp.mean(jax.vmap(rms_error)(points))
