@@ -96,7 +96,7 @@ def problem_of(plant, disturbance=None, sign=1.0, reference=None):
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL, sign)
     disturbance, reference = disturbance or qj.disturbances.Zero(), reference or qj.references.Constant(0.0)
     loop = qj.ClosedLoop(plant, reference, disturbance, control)
-    return pose(loop, 0.2, qj.SolverSettings(rtol=RTOL))
+    return pose(loop, (jnp.zeros(()),), 0.2, qj.SolverSettings(rtol=RTOL))
 
 
 def hides(problem, s=0.0):

@@ -143,7 +143,9 @@ def test_reaching_is_judged_at_the_reaching_time(factor, reaching):
     run = qj.simulate(scalar_loop(plan), [sigma0], 3.0, bandwidth=bandwidth)
     assert float(run.figures.reach_time) == pytest.approx(time, rel=1e-6)
     assert run.verdict == qj.Verdict.VIOLATED
-    assert qj.Verdict(int(run.figures.verdict_reaching)).name == reaching
+    # Of order 1 the error is the sliding variable, and t_s is t_r.
+    for claim in (run.figures.verdict_reaching, run.figures.verdict_tracking):
+        assert qj.Verdict(int(claim)).name == reaching
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
