@@ -9,6 +9,7 @@ import argparse
 import concurrent.futures
 import contextlib
 import dataclasses
+import functools as ft
 import os
 import queue
 import shutil
@@ -91,7 +92,7 @@ def copy_tree(place: Path) -> Path:
 
 
 def run_tests(
-    root: Path, tests: Sequence[str], cache: Path, *options: str, write_bytecode: bool = False
+    root: Path, tests: Sequence[str], *, cache: Path, options: Sequence[str] = (), write_bytecode: bool = False
 ) -> tuple[int, str]:
     """Exit code and output of pytest in a tree."""
     environment = {
@@ -132,7 +133,7 @@ def try_break(change: Break, trees: "queue.Queue[Path]", cache: Path) -> Result:
     root, begin = trees.get(), time.perf_counter()
     try:
         with broken(root, change):
-            code, output = run_tests(root, change.tests, cache, "-x")
+            code, output = run_tests(root, change.tests, cache=cache, options=("-x",))
     except LookupError as error:
         code, output = -1, str(error)
     finally:
@@ -164,17 +165,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _try_all(breaks, Path(place), asked.jobs, asked.show)
 
 
+def pass_unbroken(tests: Sequence[str], copies: Sequence[Path], cache: Path, is_shown: bool) -> bool:
+    """Whether the tests pass as long as nothing is broken, the files shared out over the copies."""
+    files = sorted({test.partition("::")[0] for test in tests})
+    place = {file: number % len(copies) for number, file in enumerate(files)}
+    shares: dict[Path, list[str]] = {}
+    for test in tests:
+        shares.setdefault(copies[place[test.partition("::")[0]]], []).append(test)
+    run = ft.partial(run_tests, cache=cache, options=("--durations=15",), write_bytecode=True)
+    with concurrent.futures.ThreadPoolExecutor(len(copies)) as pool:
+        found = list(pool.map(lambda share: run(*share), shares.items()))
+    for code, output in found:
+        print(f"unbroken: {output.strip().splitlines()[-1]}", flush=True)
+        if code != PASSED or is_shown:
+            print(output, flush=True)
+    return all(code == PASSED for code, _ in found)
+
+
 def _try_all(breaks: list[Break], place: Path, jobs: int, is_shown: bool) -> int:
-    trees: queue.Queue[Path] = queue.Queue()
     copies = [copy_tree(place / f"tree{number}") for number in range(jobs)]
-    cache = place / "programs"
-    tests = sorted({test for each in breaks for test in each.tests})
-    begin = time.perf_counter()
-    code, output = run_tests(copies[0], tests, cache, "--durations=15", write_bytecode=True)
-    print(f"unbroken: {output.strip().splitlines()[-1]}", flush=True)
-    if code != PASSED:
-        print(output, "The tests must pass before they can notice anything.", sep="\n")
+    cache, begin = place / "programs", time.perf_counter()
+    if not pass_unbroken(sorted({test for each in breaks for test in each.tests}), copies, cache, is_shown):
+        print("The tests must pass before they can notice anything.")
         return 1
+    trees: queue.Queue[Path] = queue.Queue()
     for copy in copies:
         trees.put(copy)
     with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
