@@ -233,7 +233,8 @@ def disputing(study, indices, seed, *, settings, block, threads, progress=None):
     rungs = Rungs.of(study, qj.SolverSettings()).settings
     rung = next(k for k, each in enumerate(rungs) if (each.choices, each.rtol) == (settings.choices, settings.rtol))
     count = len(indices)
-    figures = {"margin": np.full(count, 0.5), "energy_u": np.full(count, 3.0), "violation_time": np.full(count, np.inf)}
+    known = {"margin": 0.5, "energy_u": 3.0, "violation_time": np.inf, "end_time": 1.0}
+    figures = {name: np.full(count, value) for name, value in known.items()}
     yield table(indices, rung, ["VHU"[rung] * count] * 3, **figures)
 
 

@@ -1,5 +1,7 @@
 """What batches are compiled with gets every elementary function right, and a compiler that does not is found out."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import mpmath as mp
@@ -179,8 +181,9 @@ def study_of(plant):
 
     def scenario(draw):
         control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.1))
-        loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Constant(0.3), control)
-        return qj.Scenario(loop, x0=jnp.stack([jnp.arctan(draw.uniform("a", 0.1, 0.9))]), t1=1.0)
+        start = jnp.arctan(draw.uniform("a", 0.1, 0.9))
+        loop = qj.ClosedLoop(plant, qj.references.Constant(start), qj.disturbances.Constant(0.3), control)
+        return qj.Scenario(loop, x0=jnp.stack([start + 0.2]), t1=1.0)
 
     return qj.Study(scenario, bandwidth=0.2)
 
@@ -193,8 +196,14 @@ both_ways = pytest.mark.parametrize("vectorise", [True, False], ids=["vectorised
 def test_an_arctangent_in_a_scenario_is_right_in_the_choice_of_a_method(count, vectorise):
     points = np.linspace(0.01, 0.99, count)[:, None]
     lanes = Lanes(study_of(Weak()), qj.SolverSettings(vectorise=vectorise), count)
-    starts = np.array([np.arctan(0.1 + 0.8 * u) for u in points[:, 0]])
-    np.testing.assert_allclose(lanes.stiffness(points), starts * np.pi / 2.0 / 0.1, rtol=1e-14)
+    gains = np.array([np.arctan(0.1 + 0.8 * u) for u in points[:, 0]])
+    # Along the reference arctan(a) the gain is arctan(a), and the input |d| + |rho'| over it.
+    ts = np.linspace(0.0, 1.0, 4001)
+    rho = 2.0 * np.exp(-ts) + 0.1
+    inputs = (0.3 + 2.0 * np.exp(-ts)) / gains[:, None]
+    expected = np.trapezoid(gains[:, None] * np.pi / (2.0 * rho) * (1.0 + inputs**2), ts)
+    np.testing.assert_allclose(lanes.stiffness(points), expected, rtol=1e-2)
+    assert len(np.unique(lanes.stiffness(points))) == count
 
 
 @pytest.mark.slow
@@ -204,7 +213,8 @@ def test_an_arctangent_in_a_scenario_is_right_in_every_run(vectorise):
     study = study_of(Integrator(1.0))
     runs = qj.monte_carlo(study, 64, block=64, settings=settings)
     for i in (0, 1, 63):
-        start = [np.arctan(runs["a"][i])]
-        alone = qj.simulate(study.nominal.loop, start, 1.0, bandwidth=0.2, settings=settings)
+        start = np.arctan(runs["a"][i])
+        loop = dataclasses.replace(study.nominal.loop, reference=qj.references.Constant(start))
+        alone = qj.simulate(loop, [start + 0.2], 1.0, bandwidth=0.2, settings=settings)
         assert runs["peak_ratio"][i] == pytest.approx(float(alone.figures.peak_ratio), rel=1e-9)
     assert len(np.unique(runs["peak_ratio"])) == 64

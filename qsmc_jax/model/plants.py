@@ -12,8 +12,7 @@ from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike, State
-from qsmc_jax.model.kinks import as_times, may_jump
-from qsmc_jax.model.state_jumps import require_continuous
+from qsmc_jax.model.kinks import as_times
 
 
 class AbstractPlant(AbstractModule):
@@ -83,17 +82,10 @@ class AbstractPlant(AbstractModule):
         """
 
 
-def require_no_state_jumps(plant: AbstractPlant) -> None:
-    """Raises if drift or gain is found to jump as a function of the state; traced numbers pass."""
-    for method in _require_plant(plant):
-        require_continuous(plant, method)
-
-
 @once_per_structure
-def _require_plant(plant: AbstractPlant) -> tuple[str, ...]:
-    """Raises unless drift and gain can be traced and are one number each; those that may jump in the state."""
+def _require_plant(plant: AbstractPlant) -> None:
+    """Raises unless drift and gain can be traced and are one number each."""
     number, order = jax.ShapeDtypeStruct((), float), plant.order
-    suspects = []
     takes = f"a time and a state of {order} numbers x[0] ... x[{order - 1}]"
     for method in ("drift", "gain"):
         name = f"`{method}` of `{type(plant).__name__}`"
@@ -101,12 +93,9 @@ def _require_plant(plant: AbstractPlant) -> tuple[str, ...]:
         def call(plant: AbstractPlant, t: RealScalarLike, *x: RealScalarLike, method: str = method) -> Any:
             return getattr(plant, method)(t, x)
 
-        program, value = trace(name, takes, plant, call, number, *(number,) * order)
+        _, value = trace(name, takes, plant, call, number, *(number,) * order)
         require_number(name, value, f"Index the state: x[0] ... x[{order - 1}].")
-        if may_jump(program, order):
-            suspects.append(method)
     trace(f"`break_times` of `{type(plant).__name__}`", "nothing", plant, lambda plant: as_times(plant.break_times))
-    return tuple(suspects)
 
 
 class InvertedPendulum(AbstractPlant):

@@ -9,10 +9,31 @@ import numpy as np
 
 from qsmc_jax.base.checks import is_traced, show
 from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.traceable import once_per_structure, trace
 from qsmc_jax.model.crossings import in_batches, jumps, switches, with_decisions
+from qsmc_jax.model.kinks import may_jump
 
 _BASES = 24  # states through which the axes are followed
 _MOST = 2048  # switches looked at along an axis
+
+
+def require_no_state_jumps(plant: Any) -> None:
+    """Raises if drift or gain of a plant is found to jump as a function of the state; traced numbers pass."""
+    for method in _suspects(plant):
+        require_continuous(plant, method)
+
+
+@once_per_structure
+def _suspects(plant: Any) -> tuple[str, ...]:
+    """The methods whose operations may jump in the state."""
+    number = jax.ShapeDtypeStruct((), float)
+    found = []
+    for method in ("drift", "gain"):
+        call = lambda plant, t, *x, method=method: getattr(plant, method)(t, x)  # noqa: E731
+        program, _ = trace(f"`{method}`", "a time and a state", plant, call, number, *(number,) * plant.order)
+        if may_jump(program, plant.order):
+            found.append(method)
+    return tuple(found)
 
 
 def require_continuous(plant: Any, method: str) -> None:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxpr_as_fun
 
+from qsmc_jax.numerics import functions as functions  # whose rules register themselves
 from qsmc_jax.numerics import intervals
 from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, everything, hull, interval, is_point, truth
 from qsmc_jax.numerics.rounding import Rounding

@@ -41,14 +41,8 @@ class AbstractCoordinates(AbstractModule):
         """The funnel coordinate s and its derivative, given `y` and `dy`."""
 
     @abc.abstractmethod
-    def tolerances(self, size: State, settings: SolverSettings, scale: RealScalarLike) -> Scalars:
-        """The error that one step may make in each coordinate.
-
-        Args:
-            size: The size of each.
-            settings: The tolerances.
-            scale: Factor on the absolute ones.
-        """
+    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
+        """The error that one step may make in each coordinate, whose size is given: the relative part, the absolute."""
 
 
 class FunnelCoordinates(AbstractCoordinates):
@@ -90,9 +84,9 @@ class FunnelCoordinates(AbstractCoordinates):
     ) -> tuple[RealScalarLike, RealScalarLike]:
         return y[-1], dy[-1]
 
-    def tolerances(self, size: State, settings: SolverSettings, scale: RealScalarLike) -> Scalars:
-        errors = (scale * settings.atol + settings.rtol * each for each in size[:-1])
-        return (*errors, scale * settings.funnel_atol + settings.rtol * size[-1])
+    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
+        absolute = (*(settings.atol,) * (len(size) - 1), settings.funnel_atol)
+        return tuple(settings.rtol * each for each in size), absolute
 
 
 class PhysicalCoordinates(AbstractCoordinates):
@@ -125,9 +119,9 @@ class PhysicalCoordinates(AbstractCoordinates):
         ratio_rate = (surface(rates) - ratio * rho_rate) / rho
         return s, 0.5 * jnp.pi * sinh_cosh(s)[1] * ratio_rate
 
-    def tolerances(self, size: State, settings: SolverSettings, scale: RealScalarLike) -> Scalars:
+    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
         """A tenth of what is asked for: near the funnel's edge an error of the state is magnified in the input."""
-        return tuple(0.1 * (scale * settings.atol + settings.rtol * each) for each in size)
+        return tuple(0.1 * settings.rtol * each for each in size), (0.1 * settings.atol,) * len(size)
 
 
 def _errors(loop: ClosedLoop, rho: RealScalarLike, y: State) -> Scalars:

@@ -14,7 +14,6 @@ from typing import TypeAlias
 import jax.numpy as jnp
 
 from qsmc_jax.base import trees
-from qsmc_jax.base.gudermann import sinh_cosh
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
@@ -46,7 +45,7 @@ def hidden(
     problem: Problem,
     step: Step,
     ys: tuple[Scalars, Scalars, Scalars],
-    ss: tuple[RealScalarLike, RealScalarLike],
+    u: RealScalarLike,
     rtol: RealScalarLike,
 ) -> RealScalarLike:
     """How far a step could move the funnel coordinate unseen, in units of what is tolerated; 0.0 if nothing can hide.
@@ -55,10 +54,10 @@ def hidden(
         problem: The loop.
         step: The step.
         ys: The coordinates at its start, middle and end.
-        ss: The funnel coordinate at its start and end.
+        u: The largest input in it.
         rtol: The relative tolerance.
     """
-    problem, (t0, t1), ys, ss = trees.stop_gradient((problem, (step.t0, step.t1), ys, ss))
+    problem, (t0, t1), ys, u = trees.stop_gradient((problem, (step.t0, step.t1), ys, u))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     at = _path(problem, step, ys)
     pushes = _pushes(loop, step, at)
@@ -68,8 +67,8 @@ def hidden(
     growth = step.length * k * jnp.maximum(-lowest, 0.0) / _GROWTH
     if is_nothing(pushes.amount) and is_nothing(amount_of_gain) and is_nothing(jump):
         return growth
-    sinh, cosh = sinh_cosh(jnp.maximum(jnp.abs(ss[0]), jnp.abs(ss[1])))
-    amount = pushes.amount + amount_of_gain * sinh
+    cosh = jnp.sqrt(1.0 + u * u)
+    amount = pushes.amount + amount_of_gain * u
     is_held = lowest > 0.0
     balanced = jnp.where(is_held, amount / (jnp.where(is_held, lowest, 1.0) * cosh), jnp.inf)
     moves = jnp.minimum(step.length * k * cosh * amount, balanced) + k * cosh * jump

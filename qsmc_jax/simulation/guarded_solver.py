@@ -8,9 +8,9 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from qsmc_jax.base import trees
-from qsmc_jax.base.gudermann import sinh_cosh
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.numerics.unseen import Step as Stretch
 from qsmc_jax.simulation.guard import hidden
@@ -26,6 +26,8 @@ ESCAPE = 30.0
 FARTHEST = 2.0 * ESCAPE
 # Largest decay in a step of the explicit method: there it damps a deviation by half or better, and never alternates.
 _STABLE = 3.3
+# How well time is resolved, relative to it: some units in its last place.
+_INSTANT = 64.0 * float(np.finfo(float).eps)
 # Power by which a step beyond it counts as an error.
 _STABLE_STEEPNESS = 8
 
@@ -110,28 +112,37 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
     ) -> tuple[Run, StepError, dict[str, Any], Any, dfx.RESULTS]:
         rate0 = derivative_at_start(_TERM, t0, y0.y, args, solver_state, made_jump)
         y1, error, dense, rate1, result = self.method.step(_TERM, t0, t1, y0.y, args, rate0, False)
-        ends = (args.coordinates.funnel_coordinate(args.loop, t, y) for t, y in ((t0, y0.y), (t1, y1)))
-        s0, s1 = ends
+        s1 = args.coordinates.funnel_coordinate(args.loop, t1, y1)
         is_sound = trees.is_finite((y1, error, rate1)) & (jnp.abs(s1) <= FARTHEST)
-        step = Stretch(t0, t1, self.method.nodes)
-        unseen = hidden(args, step, (y0.y, dense["middle"], y1), (s0, s1), self.settings.rtol)
-        y1, rate1 = trees.where(is_sound, (y1, rate1), (y0.y, rate0))
-        tally = _ADD_STEP(args, y0.tally, Step(t0, t1, **{**dense, "y1": y1}, derivative=rate1))
-        local = self._in_tolerances(args, error, y0.y, y1, small_scale(tally.peak.height))
+        kept1, rate1 = trees.where(is_sound, (y1, rate1), (y0.y, rate0))
+        tally = _ADD_STEP(args, y0.tally, Step(t0, t1, **{**dense, "y1": kept1}, derivative=rate1))
+        scale, instant = small_scale(tally.peak.height), _INSTANT * jnp.abs(t1)
+        moved = tuple(instant * (jnp.abs(a) + jnp.abs(b)) for a, b in zip(rate0, rate1, strict=True))
+        local = self._in_tolerances(args, error, y0.y, kept1, scale, moved)
         if not isinstance(self.method, Rosenbrock):
-            local = jnp.maximum(local, (_decay(args, t0, t1, y1, s1) / _STABLE) ** _STABLE_STEEPNESS)
-        error = StepError(jnp.where(is_sound, local, jnp.inf), unseen)
+            local = jnp.maximum(local, (_decay(args, t0, t1, tally) / _STABLE) ** _STABLE_STEEPNESS)
+        largest_input = jnp.maximum(jnp.abs(y0.tally.u), jnp.abs(tally.u))
+        step, ys = Stretch(t0, t1, self.method.nodes), (y0.y, dense["middle"], y1)
+        unseen = hidden(args, step, ys, largest_input, self.settings.rtol)
+        y1, error = kept1, StepError(jnp.where(is_sound, local, jnp.inf), unseen)
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
         return Run(y1, tally), error, {"inner": dense, "tally": tally}, rate1, result
 
     def _in_tolerances(
-        self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars, scale: RealScalarLike
+        self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars, scale: RealScalarLike, moved: Scalars
     ) -> RealScalarLike:
-        """The largest error, in units of what is tolerated."""
+        """The largest error, in units of what is tolerated.
+
+        The absolute part is lowered by `scale` close to rest, but not below what a coordinate moves in an instant:
+        else no step could cross a jump that ends a rest.
+        """
         size = tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(y0, y1, strict=True))
-        tolerances = problem.coordinates.tolerances(size, self.settings, scale)
-        return ft.reduce(jnp.maximum, [jnp.abs(e) / tolerance for e, tolerance in zip(error, tolerances, strict=True)])
+        parts = zip(error, moved, *problem.coordinates.tolerances(size, self.settings), strict=True)
+        return ft.reduce(
+            jnp.maximum,
+            [jnp.abs(e) / (r + jnp.maximum(scale * a, jnp.minimum(a, m))) for e, m, r, a in parts],
+        )
 
 
 @eqx.filter_jit  # so that its many calls in a step are traced once
@@ -139,14 +150,10 @@ def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
     return problem.fence(problem.coordinates.vector_field(t, y, problem.loop))
 
 
-def _decay(problem: Problem, t0: RealScalarLike, t1: RealScalarLike, y1: Scalars, s1: RealScalarLike) -> RealScalarLike:
-    r"""By how much a deviation of s decays within a step, $h |g| \frac{\pi}{2\rho} \cosh 2s$ [-]."""
-    loop = problem.loop
-    gain = loop.plant.gain(t1, problem.coordinates.state(loop, t1, y1))
-    sinh, _ = sinh_cosh(s1)
-    return jax.lax.stop_gradient(
-        (t1 - t0) * jnp.abs(gain) * (0.5 * jnp.pi) * (1.0 + 2.0 * sinh**2) / loop.control.funnel(t1)
-    )
+def _decay(problem: Problem, t0: RealScalarLike, t1: RealScalarLike, end: Tally) -> RealScalarLike:
+    r"""By how much a deviation of s decays within a step, $h |g| \frac{\pi}{2\rho} \cosh 2s$ [-], by its end."""
+    rate = jnp.abs(end.gain) * (0.5 * jnp.pi) * (1.0 + 2.0 * end.u**2) / problem.loop.control.funnel(t1)
+    return jax.lax.stop_gradient((t1 - t0) * rate)
 
 
 _TERM = dfx.ODETerm(_field)

@@ -73,7 +73,8 @@ class Span(AbstractModule):
 class Tally(AbstractModule):
     """The running figures of one run, all scalars; see `Figures` for what becomes of them.
 
-    `unsettled` is the last step in which an error reached its bound.
+    `u` and `gain` are |u| and the gain, times its sign, at the end of the last step; `unsettled` is the last step in
+    which an error reached its bound.
     """
 
     errors: Scalars
@@ -85,6 +86,7 @@ class Tally(AbstractModule):
     total_variation: RealScalarLike
     energy: RealScalarLike
     squared_error: RealScalarLike
+    gain: RealScalarLike
     least_gain: RealScalarLike
     largest_disturbance: RealScalarLike
 
@@ -125,6 +127,7 @@ def first_tally(problem: Problem, y0: Scalars) -> Tally:
     loop, zero = problem.loop, jnp.zeros(())
     x0 = problem.coordinates.state(loop, zero, y0)
     s0 = problem.coordinates.funnel_coordinate(loop, zero, y0)
+    gain = jnp.asarray(loop.control.gain_sign * loop.plant.gain(zero, x0))
     return Tally(
         errors=_scalars(loop.errors(zero, x0)),
         u=sinh_cosh(s0)[0],
@@ -135,7 +138,8 @@ def first_tally(problem: Problem, y0: Scalars) -> Tally:
         total_variation=zero,
         energy=zero,
         squared_error=zero,
-        least_gain=jnp.asarray(loop.control.gain_sign * loop.plant.gain(zero, x0)),
+        gain=gain,
+        least_gain=gain,
         largest_disturbance=jnp.asarray(jnp.abs(loop.disturbance(zero))),
     )
 
@@ -167,6 +171,7 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
         total_variation=tally.total_variation + _variation_of_input(left.u, s.stations()[1:-1], right.u),
         energy=tally.energy + h * _mean_square_of_input(left.u, s, right.u),
         squared_error=tally.squared_error + integral_of_square(h, left.errors[:2], right.errors[:2]),
+        gain=jnp.asarray(gain),
         least_gain=jnp.minimum(tally.least_gain, gain),
         largest_disturbance=jnp.maximum(tally.largest_disturbance, disturbance),
     )

@@ -16,7 +16,7 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.consistency import require_consistent
-from qsmc_jax.model.plants import require_no_state_jumps
+from qsmc_jax.model.state_jumps import require_no_state_jumps
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures, is_refused
 from qsmc_jax.simulation.finite import require_finite_functions
