@@ -9,11 +9,10 @@ import argparse
 import concurrent.futures
 import contextlib
 import dataclasses
-import functools as ft
+import multiprocessing
 import os
 import queue
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,9 +24,19 @@ ROOT = Path(__file__).resolve().parents[1]
 TABLE = Path(__file__).with_name("data") / "breaks.toml"
 # What the tests need: no more is copied.
 COPIED = ("qsmc_jax", "tests", "studies", "pyproject.toml", "README.md", "CHANGELOG.md", "constraints.txt")
+# Imported once, for all processes that run tests.
+PRELOADED = ("jax", "diffrax", "optax", "optimistix", "scipy.stats", "scipy.optimize", "scipy.integrate", "matplotlib")
+PRELOADED += ("beartype", "hypothesis", "mpmath", "pyarrow.parquet")
+FORKS = multiprocessing.get_context("forkserver")
+# Some of them are plugins of pytest, which would have liked to be the first to import them.
+QUIET = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
+# Programs that a break leaves as they are need not be compiled again: JAX keeps them in a folder.
+KEPT = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 # Seconds after which the tests of one break are given up.
 LONGEST = 600
-PASSED, FAILED = 0, 1  # exit codes of pytest; any other means that nothing was found out
+# Exit codes of pytest, set apart from those of Python, which says 1 of any crash. Others mean that nothing was found.
+APART = 100
+PASSED, FAILED = APART + 0, APART + 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,27 +101,30 @@ def copy_tree(place: Path) -> Path:
 
 
 def run_tests(
-    root: Path, tests: Sequence[str], *, cache: Path, options: Sequence[str] = (), write_bytecode: bool = False
+    root: Path, tests: Sequence[str], log: Path, options: Sequence[str] = (), write_bytecode: bool = False
 ) -> tuple[int, str]:
-    """Exit code and output of pytest in a tree."""
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(root),
-        # Programs that a break leaves as they are need not be compiled again.
-        "JAX_COMPILATION_CACHE_DIR": str(cache),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    }
-    if not write_bytecode:
-        environment["PYTHONDONTWRITEBYTECODE"] = "1"
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options, *tests]
-    try:
-        done = subprocess.run(
-            command, cwd=root, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False
-        )
-    except subprocess.TimeoutExpired:
+    """Exit code and output of pytest in a tree, in a process of its own that begins with the imports of others."""
+    process = FORKS.Process(target=_pytest, args=(root, tests, log, options, write_bytecode))
+    process.start()
+    process.join(LONGEST)
+    if process.is_alive():
+        process.kill()
+        process.join()
         return -1, f"not done after {LONGEST} s"
-    return done.returncode, done.stdout + done.stderr
+    return process.exitcode or -1, log.read_text(encoding="utf-8", errors="replace")
+
+
+def _pytest(root: Path, tests: Sequence[str], log: Path, options: Sequence[str], write_bytecode: bool) -> None:
+    with log.open("wb") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    os.chdir(root)
+    os.environ["PYTHONPATH"] = str(root)
+    sys.path.insert(0, str(root))
+    sys.dont_write_bytecode = not write_bytecode
+    import pytest
+
+    sys.exit(APART + int(pytest.main([*QUIET, *options, *tests])))
 
 
 @contextlib.contextmanager
@@ -128,12 +140,12 @@ def broken(root: Path, change: Break) -> Iterator[None]:
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
 
 
-def try_break(change: Break, trees: "queue.Queue[Path]", cache: Path) -> Result:
+def try_break(change: Break, trees: "queue.Queue[Path]") -> Result:
     """Makes one break in a tree of its own, and runs its tests."""
     root, begin = trees.get(), time.perf_counter()
     try:
         with broken(root, change):
-            code, output = run_tests(root, change.tests, cache=cache, options=("-x",))
+            code, output = run_tests(root, change.tests, root.with_suffix(".log"), ("-x",))
     except LookupError as error:
         code, output = -1, str(error)
     finally:
@@ -165,16 +177,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _try_all(breaks, Path(place), asked.jobs, asked.show)
 
 
-def pass_unbroken(tests: Sequence[str], copies: Sequence[Path], cache: Path, is_shown: bool) -> bool:
+def pass_unbroken(tests: Sequence[str], copies: Sequence[Path], is_shown: bool) -> bool:
     """Whether the tests pass as long as nothing is broken, the files shared out over the copies."""
     files = sorted({test.partition("::")[0] for test in tests})
     place = {file: number % len(copies) for number, file in enumerate(files)}
     shares: dict[Path, list[str]] = {}
     for test in tests:
         shares.setdefault(copies[place[test.partition("::")[0]]], []).append(test)
-    run = ft.partial(run_tests, cache=cache, options=("--durations=15",), write_bytecode=True)
     with concurrent.futures.ThreadPoolExecutor(len(copies)) as pool:
-        found = list(pool.map(lambda share: run(*share), shares.items()))
+        run = lambda share: run_tests(*share, share[0].with_suffix(".log"), ("--durations=15",), True)  # noqa: E731
+        found = list(pool.map(run, shares.items()))
     for code, output in found:
         print(f"unbroken: {output.strip().splitlines()[-1]}", flush=True)
         if code != PASSED or is_shown:
@@ -184,8 +196,10 @@ def pass_unbroken(tests: Sequence[str], copies: Sequence[Path], cache: Path, is_
 
 def _try_all(breaks: list[Break], place: Path, jobs: int, is_shown: bool) -> int:
     copies = [copy_tree(place / f"tree{number}") for number in range(jobs)]
-    cache, begin = place / "programs", time.perf_counter()
-    if not pass_unbroken(sorted({test for each in breaks for test in each.tests}), copies, cache, is_shown):
+    begin = time.perf_counter()
+    os.environ.update(KEPT, JAX_COMPILATION_CACHE_DIR=str(place / "programs"))
+    FORKS.set_forkserver_preload(list(PRELOADED))
+    if not pass_unbroken(sorted({test for each in breaks for test in each.tests}), copies, is_shown):
         print("The tests must pass before they can notice anything.")
         return 1
     trees: queue.Queue[Path] = queue.Queue()
@@ -193,7 +207,7 @@ def _try_all(breaks: list[Break], place: Path, jobs: int, is_shown: bool) -> int
         trees.put(copy)
     with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
         results = []
-        for result in pool.map(lambda each: try_break(each, trees, cache), breaks):
+        for result in pool.map(lambda each: try_break(each, trees), breaks):
             print(f"{result.seconds:6.1f} s  {result.state:9}  {result.name}", flush=True)
             results.append(result)
     missed, seconds = [each for each in results if each.state != "noticed"], time.perf_counter() - begin

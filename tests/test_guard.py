@@ -103,7 +103,7 @@ def hides(problem, s=0.0):
     """How far the funnel coordinate could move, by the guard, in a step in which it seems to stand still."""
     s = jnp.asarray(s)
     step = Step(jnp.asarray(0.0), jnp.asarray(LENGTH), NODES)
-    return float(hidden(problem, step, ((s,),) * 3, (s, s), RTOL)) * WORTH
+    return float(hidden(problem, step, ((s,),) * 3, jnp.abs(jnp.sinh(s)), RTOL)) * WORTH
 
 
 def farthest(s0, gain, push):
@@ -146,7 +146,7 @@ def test_a_push_moves_it_no_farther_than_is_said(strength, height, sign):
 @pytest.mark.parametrize("ripple", [0.3, -0.3])
 def test_a_gain_that_swells_moves_it_by_as_much_as_the_input_counts(ripple):
     """At rest against a constant push, u = -w / g, which the swollen gain no longer balances."""
-    s0, strength = -1.0, 1e-2
+    s0, strength = -3.0, 1e-2
     problem = problem_of(Bumping(0.0, strength, ripple), qj.disturbances.Constant(strength * math.sinh(s0)))
     moved = farthest(s0, lambda t: strength * (1.0 + ripple * plain(t)), lambda t: strength * math.sinh(s0))
     assert moved <= hides(problem, s0) <= 20.0 * moved
