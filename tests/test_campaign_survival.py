@@ -32,7 +32,7 @@ VERIFY = [
     "1",
 ]
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.stress
 
 
 def start(*arguments, **options):

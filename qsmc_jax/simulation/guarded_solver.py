@@ -8,14 +8,13 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.numerics.unseen import Step as Stretch
 from qsmc_jax.simulation.guard import hidden
 from qsmc_jax.simulation.rosenbrock import Rosenbrock
-from qsmc_jax.simulation.settings import SolverSettings, small_scale
+from qsmc_jax.simulation.settings import INSTANT, SolverSettings, absolute_tolerance
 from qsmc_jax.simulation.tally import Problem, Step, Tally, add_step
 from qsmc_jax.simulation.tsit5 import Tsit5, derivative_at_start
 
@@ -26,8 +25,6 @@ ESCAPE = 30.0
 FARTHEST = 2.0 * ESCAPE
 # Largest decay in a step of the explicit method: there it damps a deviation by half or better, and never alternates.
 _STABLE = 3.3
-# How well time is resolved, relative to it: some units in its last place.
-_INSTANT = 64.0 * float(np.finfo(float).eps)
 # Power by which a step beyond it counts as an error.
 _STABLE_STEEPNESS = 8
 
@@ -116,9 +113,8 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         is_sound = trees.is_finite((y1, error, rate1)) & (jnp.abs(s1) <= FARTHEST)
         kept1, rate1 = trees.where(is_sound, (y1, rate1), (y0.y, rate0))
         tally = _ADD_STEP(args, y0.tally, Step(t0, t1, **{**dense, "y1": kept1}, derivative=rate1))
-        scale, instant = small_scale(tally.peak.height), _INSTANT * jnp.abs(t1)
-        moved = tuple(instant * (jnp.abs(a) + jnp.abs(b)) for a, b in zip(rate0, rate1, strict=True))
-        local = self._in_tolerances(args, error, y0.y, kept1, scale, moved)
+        moved = tuple(INSTANT * t1 * (jnp.abs(a) + jnp.abs(b)) for a, b in zip(rate0, rate1, strict=True))
+        local = self._in_tolerances(args, error, y0.y, kept1, tally.peak.height, moved)
         if not isinstance(self.method, Rosenbrock):
             local = jnp.maximum(local, (_decay(args, t0, t1, tally) / _STABLE) ** _STABLE_STEEPNESS)
         largest_input = jnp.maximum(jnp.abs(y0.tally.u), jnp.abs(tally.u))
@@ -130,19 +126,12 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         return Run(y1, tally), error, {"inner": dense, "tally": tally}, rate1, result
 
     def _in_tolerances(
-        self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars, scale: RealScalarLike, moved: Scalars
+        self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars, peak: RealScalarLike, moved: Scalars
     ) -> RealScalarLike:
-        """The largest error, in units of what is tolerated.
-
-        The absolute part is lowered by `scale` close to rest, but not below what a coordinate moves in an instant:
-        else no step could cross a jump that ends a rest.
-        """
+        """The largest error, in units of what is tolerated."""
         size = tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(y0, y1, strict=True))
         parts = zip(error, moved, *problem.coordinates.tolerances(size, self.settings), strict=True)
-        return ft.reduce(
-            jnp.maximum,
-            [jnp.abs(e) / (r + jnp.maximum(scale * a, jnp.minimum(a, m))) for e, m, r, a in parts],
-        )
+        return ft.reduce(jnp.maximum, [jnp.abs(e) / (r + absolute_tolerance(a, peak, m)) for e, m, r, a in parts])
 
 
 @eqx.filter_jit  # so that its many calls in a step are traced once

@@ -34,7 +34,7 @@ from qsmc_jax.simulation.sampled_tally import (
     first_cell_tally,
     first_command_tally,
 )
-from qsmc_jax.simulation.settings import SolverSettings, small_scale
+from qsmc_jax.simulation.settings import INSTANT, SolverSettings, absolute_tolerance
 from qsmc_jax.simulation.tally import Problem
 
 # Bogacki and Shampine's pair of order 3(2): between samples, cells are short anyhow.
@@ -271,7 +271,9 @@ def _cross(plan: Plan, course: Course, end: RealScalarLike) -> tuple[Cell, Scala
     stages.append(loop.rates(right.terms, right.x, input_at(end)))
     h = end - now.t
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
-    allowed = plan.rtol * (small_scale(course.cells.peak_ratio) * right.rho + jnp.abs(right.sigma))
+    speed = jnp.abs(now.sigma_rate(u0)) + jnp.abs(right.sigma_rate(input_at(end)))
+    width, moved = plan.rtol * right.rho, INSTANT * end * speed
+    allowed = plan.rtol * jnp.abs(right.sigma) + absolute_tolerance(width, course.cells.peak_ratio, moved)
     actuator, held = plan.implementation.actuator, course.computer.held
     swing = held_swing(held, h) if actuator is None else actuator.swing(course.actuator, held, h)
     cell = Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end), swing)

@@ -5,6 +5,7 @@ from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import is_traced, require, require_count, require_positive
@@ -17,6 +18,8 @@ _LOOSEST_IN_FUNNEL = 3e-5
 
 # How far absolute tolerances are lowered for a run that is still close to rest.
 _SMALLEST_SCALE = 1e-12
+# How well time is resolved, relative to it: some units in its last place.
+INSTANT = 64.0 * float(np.finfo(float).eps)
 
 # States of an ideal run that reverse mode keeps. Of a run with more steps it solves parts again, in another program: it
 # may round otherwise, take other steps, and so differentiate another run (3 % off in the median run of Example 2).
@@ -122,12 +125,18 @@ class SolverSettings(AbstractModule):
         return jnp.minimum(0.1 * self.rtol, _LOOSEST_IN_FUNNEL)
 
 
-def small_scale(largest: RealScalarLike) -> RealScalarLike:
-    """Factor on absolute tolerances while the largest |sigma|/rho so far, or |s|, is small: nothing may hide in them.
+def absolute_tolerance(usual: RealScalarLike, largest: RealScalarLike, moved: RealScalarLike) -> RealScalarLike:
+    """An absolute tolerance, lowered while a run is still close to rest: nothing may hide in it.
 
-    An unstable plant makes of a tiny deviation a large one, whose time and height depend on the first digits of it.
+    An unstable plant makes of a tiny deviation a large one, whose time and height depend on the first digits of it. But
+    it stays above what the coordinate moves in an instant: else no step could cross a jump that ends a rest.
+
+    Args:
+        usual: The tolerance of a run that is not close to rest.
+        largest: The largest |sigma|/rho, or |s|, so far.
+        moved: What the coordinate moves in an instant.
     """
-    return jnp.clip(10.0 * largest, _SMALLEST_SCALE, 1.0)
+    return jnp.maximum(jnp.clip(10.0 * largest, _SMALLEST_SCALE, 1.0) * usual, jnp.minimum(usual, moved))
 
 
 def tight() -> SolverSettings:
