@@ -169,10 +169,11 @@ def decay(z0, gain, t1):
 
 
 def equilibrium(level, gain):
-    """Constant d: z rises from 0 to (2/pi) atan(d/g), all but reached after many time constants."""
+    """Constant d: z rises from 0 to (2/pi) atan(d/g), all but reached after many time constants, and |u| with it."""
     loop = scalar_loop(STILL, level=level, gain_scale=gain)
     ratio = 2 / math.pi * math.atan(abs(level) / gain)
-    answers = {"peak_ratio": ratio, "peak_u": abs(level) / gain, "x1": math.copysign(ratio * WIDTH, level)}
+    u = abs(level) / gain
+    answers = {"peak_ratio": ratio, "peak_u": u, "total_variation_u": u, "x1": math.copysign(ratio * WIDTH, level)}
     return Problem(
         f"balance at d = {level}", ("held",), equilibrium.__doc__, loop, (0.0,), 60.0, STILL_BANDWIDTH, answers
     )

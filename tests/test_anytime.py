@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.verification.anytime import confidence_sequence, sequential_test
-from qsmc_jax.verification.stopping import SequentialTest, UntilBelow, UntilWidth
+from qsmc_jax.verification.stopping import AbstractRule, SequentialTest, UntilBelow, UntilWidth, decision_of
 
 COUNTS = st.integers(0, 60).flatmap(lambda k: st.tuples(st.just(k), st.integers(0, 5), st.integers(k + 5, 10_000)))
 
@@ -92,6 +93,33 @@ def test_rules_say_what_they_found():
     assert UntilWidth(1e-3).decision(0, 0, 3600, 0.95) is None
     assert UntilWidth(1e-3).decision(0, 0, 3800, 0.95) is not None
     assert SequentialTest(4e-3, 1e-3).decision(0, 100, 5000, 0.95) is None
+
+
+def test_a_rule_is_told_all_counts_of_the_funnel_claim():
+    told = []
+
+    class Told(AbstractRule):
+        def decision(self, violated, undecided, total, confidence):
+            told.append((violated, undecided, total, confidence))
+
+    counts = {Verdict.HELD: 90, Verdict.VIOLATED: 3, Verdict.UNDECIDED: 7, Verdict.INADMISSIBLE: 20}
+    assert decision_of(Told(), counts, 0.9) is None
+    assert told == [(3, 7, 100, 0.9)]
+
+
+def test_the_sequential_test_decides_at_walds_bounds():
+    """Without a violation after the first N with N ln((1 - p1) / (1 - p0)) >= ln((1 - a) / a); with only violations
+    after the first k with k ln(p0 / p1) at least as much; undecided runs count against either answer."""
+    rule, p0, p1, risk = SequentialTest(0.02, 0.01), 0.02, 0.01, 0.05
+    bound = math.log((1.0 - risk) / risk)
+    enough = math.ceil(bound / math.log((1.0 - p1) / (1.0 - p0)))
+    assert rule.decision(0, 0, enough - 1, 1.0 - risk) is None
+    assert "below 0.02" in rule.decision(0, 0, enough, 1.0 - risk)
+    assert rule.decision(0, 1, enough, 1.0 - risk) is None
+    many = math.ceil(bound / math.log(p0 / p1))
+    assert rule.decision(many - 1, 0, many - 1, 1.0 - risk) is None
+    assert "above 0.01" in rule.decision(many, 0, many, 1.0 - risk)
+    assert rule.decision(many - 1, 1, many, 1.0 - risk) is None
 
 
 BAD = {

@@ -118,6 +118,43 @@ def test_a_probability_at_the_border_stays_open_and_bounded_in_cost():
     assert all(test.runs == plan.looks[-1] for test in tests[1:])
 
 
+def test_the_tests_of_a_search_share_the_risk_over_their_looks():
+    plan = plan_tests(0.05, 0.8, 6, None)
+    assert plan.each == pytest.approx(1.0 - 0.2 / (8 * 3))
+    assert plan.tests == 8
+
+
+@pytest.mark.parametrize(("violated", "finding"), [(0, "below"), (20, "open"), (95, "above")])
+def test_a_value_is_safe_by_the_upper_end_and_unsafe_by_the_lower(violated, finding):
+    """Of every hundred runs so many are violated, where 20 is the border."""
+    plan = plan_tests(0.2, 0.9, 0, None)
+
+    def count(value, indices):
+        bad = round(len(indices) * violated / 100)
+        return Counter({Verdict.VIOLATED: bad, Verdict.HELD: len(indices) - bad})
+
+    _, tests = search(count, (0.0, 1.0), plan, None)
+    for test in tests:
+        exact = scipy.stats.binomtest(test.violated, test.runs).proportion_ci(plan.each, method="exact")
+        assert (test.low, test.high) == pytest.approx((exact.low, exact.high), rel=1e-7)
+        assert test.finding == finding
+
+
+def test_inadmissible_runs_are_left_out_of_the_interval():
+    """Of the first look, which would just do, a tenth is not admissible: it does no longer."""
+    plan = plan_tests(0.2, 0.9, 0, None)
+
+    def count(value, indices):
+        none = len(indices) // 10
+        return Counter({Verdict.INADMISSIBLE: none, Verdict.HELD: len(indices) - none})
+
+    _, tests = search(count, (0.0, 1.0), plan, None)
+    assert [test.runs for test in tests] == [plan.looks[1]] * 2
+    for test in tests:
+        exact = scipy.stats.binomtest(0, test.runs - test.inadmissible).proportion_ci(plan.each, method="exact")
+        assert test.high == pytest.approx(exact.high, rel=1e-7)
+
+
 def test_inadmissible_runs_show_nothing():
     plan = plan_tests(0.1, 0.95, 3, None)
     _, tests = search(lambda _, indices: Counter({Verdict.INADMISSIBLE: len(indices)}), (0.0, 1.0), plan, None)

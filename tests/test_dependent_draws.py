@@ -75,6 +75,12 @@ def test_such_runs_are_inadmissible_and_only_they(drawn, is_right, implementatio
     compare(study_of(drawn, implementation), is_right)
 
 
+@pytest.mark.parametrize(("width", "is_valid"), [(0.0, False), (-1e-9, False), (1e-9, True)])
+def test_an_interval_must_have_a_width_in_every_run(width, is_valid):
+    _, noted_valid = noted(lambda draw, a: draw.uniform("x", a, a + width), np.full(2, 0.5))
+    assert bool(noted_valid) == is_valid
+
+
 def test_runs_of_both_kinds_stand_side_by_side():
     compare(study_of(CASES["uniform, low"][0], ENGINES["sampled"]), CASES["uniform, low"][1])
 

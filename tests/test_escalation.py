@@ -11,7 +11,7 @@ from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.tuning.certificate import certify
 from qsmc_jax.tuning.objectives import parse_constraint, parse_objective
 from qsmc_jax.verification.decided import through
-from qsmc_jax.verification.escalation import Escalation
+from qsmc_jax.verification.escalation import Escalation, breaches_bound
 from qsmc_jax.verification.rungs import Rungs
 from tests.coin_study import study as coin
 
@@ -183,6 +183,12 @@ def test_a_peak_above_the_comparison_bound_says_nothing():
     assert escalation.defects == [0]
     assert solves.asked == [(1, [0, 1, 2]), (2, [0, 2])]
     assert rows["peak_u"].tolist() == [3.0, 1.0, 1.0]
+
+
+def test_a_peak_is_a_breach_only_one_percent_beyond_the_bound_and_where_the_bound_holds():
+    peaks, gains = [1.99, 2.019, 2.021, 3.0, 3.0, 3.0], [0.5, 0.5, 0.5, 0.5, -0.1, 0.0]
+    rows = table(range(6), 0, ["HHHVHH"] * 3, peak_u=np.array(peaks), least_gain=np.array(gains))
+    assert breaches_bound(rows).tolist() == [False, False, True, False, False, False]
 
 
 def families(settings):

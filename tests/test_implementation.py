@@ -132,6 +132,86 @@ def test_the_quasi_sliding_law_is_chattering_free_up_to_the_critical_period(fact
     assert (swings > 0.1) == (not is_free)
 
 
+@pytest.mark.parametrize(("factor", "reaching"), [(0.99, "HELD"), (1.01, "VIOLATED")])
+def test_reaching_is_judged_at_the_reaching_time(factor, reaching):
+    """Too little input for the funnel, not for the bandwidth: at full input from the start |sigma| = sigma_0 - u_max t,
+    outside the funnel until it falls through the bandwidth, a hundredth before the reaching time or after it."""
+    bandwidth, sigma0 = 0.2, 1.0
+    reaching_time = math.log(1.0 / (bandwidth - RHO)) / 2.0
+    time = factor * reaching_time
+    plan = qj.Implementation(1e-3, saturation=(sigma0 - bandwidth) / time)
+    run = qj.simulate(scalar_loop(plan), [sigma0], 3.0, bandwidth=bandwidth)
+    assert float(run.figures.reach_time) == pytest.approx(time, rel=1e-6)
+    assert run.verdict == qj.Verdict.VIOLATED
+    # Of order 1 the error is the sliding variable, and t_s is t_r.
+    for claim in (run.figures.verdict_reaching, run.figures.verdict_tracking):
+        assert qj.Verdict(int(claim)).name == reaching
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("period", [1.0, 0.013])
+def test_the_excess_is_its_largest_value_also_between_samples(period, sign):
+    """At full input |sigma| = sigma_0 - v t, which leaves the funnel and comes back: |sigma| - rho is largest where
+    rho' = -v, that is where exp(-mu t) = v / (mu rho_0), in the middle of a hold."""
+    sigma0, v, mu = 1.0, 0.6, 2.0
+    run = qj.simulate(scalar_loop(qj.Implementation(period, saturation=v)), [sign * sigma0], 1.0)
+    time = math.log(mu / v) / mu
+    excess = sigma0 - v * time - v / mu - RHO
+    assert excess > 0.2
+    # Within 1e-6 of the funnel's width.
+    assert float(run.figures.sampled.peak_excess) == pytest.approx(excess, abs=1e-6 * (v / mu + RHO))
+
+
+class Pushed(qj.AbstractPlant):
+    """x' = u + a exp(-((t - t_0) / b)^2), a push that it does not announce."""
+
+    height: float
+    at: float
+    width: float
+
+    order: ClassVar[int] = 1
+
+    def drift(self, t, x):
+        """The push."""
+        return self.height * jnp.exp(-(((t - self.at) / self.width) ** 2))
+
+    def gain(self, t, x):
+        """One."""
+        return 1.0
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-4])
+def test_a_short_push_inside_a_hold_is_met(width):
+    """From rest sigma jumps by the push's area, a sqrt(pi) b, within a hold, and stays there until the next sample."""
+    period, place, size = 0.2, 0.53, 0.06
+    plant = Pushed(size / (math.sqrt(math.pi) * width), place, width)
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL)
+    plan = qj.Implementation(period)
+    loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Zero(), control, plan)
+    run = qj.simulate(loop, [0.0], 0.6, ts=np.array([0.0, 0.6]))  # a cell ends at each of these times
+    assert float(run.figures.peak_ratio) == pytest.approx(size / float(FUNNEL(0.6)), rel=1e-4)
+
+
+@pytest.mark.parametrize(("margin", "verdict"), [(5e-4, "HELD"), (-5e-4, "VIOLATED")])
+def test_a_run_leaves_by_however_little(margin, verdict):
+    """At full input |sigma| = sigma_0 - v t, nearest to the funnel's edge where exp(-mu t) = v / (mu rho_0)."""
+    v, mu = 0.6, 2.0
+    time = math.log(mu / v) / mu
+    sigma0 = v * time + (1.0 - margin) * (v / mu + RHO)
+    run = qj.simulate(scalar_loop(qj.Implementation(1.0, saturation=v)), [sigma0], 1.0)
+    assert run.verdict.name == verdict
+    assert float(run.figures.margin) == pytest.approx(margin, rel=0.01)
+
+
+def test_a_sampled_run_is_admissible_strictly_inside_the_funnel():
+    inside, edge = (
+        qj.simulate(scalar_loop(qj.Implementation(1e-3, saturation=4.0)), [x0], 0.01)
+        for x0 in ((1.0 - 1e-9) * (1.0 + RHO), 1.0 + RHO)
+    )
+    assert inside.verdict == qj.Verdict.HELD
+    assert edge.verdict == qj.Verdict.INADMISSIBLE
+
+
 def test_a_start_outside_is_no_premise_but_is_followed():
     """It comes back at full input: |sigma| = sigma_0 - g u_max t until it meets the funnel."""
     run = qj.simulate(scalar_loop(qj.Implementation(1e-3, saturation=2.0)), [3.0], T1)

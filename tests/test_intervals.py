@@ -216,3 +216,51 @@ def test_a_pole_has_no_bound(fn):
     found = one(fn, -0.1, 0.1).values[0]
     assert np.isinf(float(found.hi))
     assert np.all(np.isfinite(np.asarray(one(fn, 0.1, 0.2).values[0])))
+
+
+def test_a_comparison_with_an_end_that_is_not_known_may_be_either():
+    """NaN stands for an end of which nothing is known; a choice by such a comparison may be any of its cases."""
+    unknown = Interval(jnp.asarray(jnp.nan), jnp.asarray(jnp.nan))
+    for fn in (jnp.less, jnp.less_equal, jnp.greater, jnp.greater_equal, jnp.equal, jnp.not_equal):
+        for box in ((unknown, jnp.asarray(0.5)), (jnp.asarray(0.5), unknown)):
+            (found,) = enclose(fn, *box).values
+            assert bool(found.may)
+            assert bool(found.may_not)
+    (chosen,) = enclose(lambda x: jnp.where(x < 0.5, 1.0, -2.0), unknown).values
+    assert tuple(map(float, chosen)) == (-2.0, 1.0)
+    (place,) = enclose(lambda x: jnp.floor(x).astype(int), unknown).values
+    assert int(place.lo) < -(2**60)
+    assert int(place.hi) > 2**60
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 0.0), (0.0, 1.0), (-1.0, 1.0)])
+def test_a_quotient_by_what_reaches_zero_has_no_bound_on_its_side(low, high):
+    (found,) = enclose(lambda t: 1.0 / t, Interval(jnp.asarray(low), jnp.asarray(high))).values
+    for t in (low, high, 1e-200 * low, 1e-200 * high):
+        if t != 0.0:
+            assert float(found.lo) <= 1.0 / t <= float(found.hi)
+
+
+@pytest.mark.parametrize("turns", [-0.75, -0.25, 0.25, 0.75, 1.25, 1.75])
+def test_a_tangent_has_a_pole_in_every_half_turn(turns):
+    pole = 2.0 * np.pi * turns
+    (found,) = enclose(jnp.tan, Interval(jnp.asarray(pole - 0.2), jnp.asarray(pole + 0.3))).values
+    assert tuple(map(float, found)) == (-np.inf, np.inf)
+    (found,) = enclose(jnp.tan, Interval(jnp.asarray(pole + 0.1), jnp.asarray(pole + 0.3))).values
+    assert tuple(map(float, found)) == pytest.approx((np.tan(pole + 0.1), np.tan(pole + 0.3)), rel=1e-9)
+
+
+VECTORS = {
+    "interval first": lambda t: jnp.dot(jnp.stack([t, 2.0 * t]), jnp.array([1.0, -3.0])),
+    "interval last": lambda t: jnp.dot(jnp.array([1.0, -3.0]), jnp.stack([t, 2.0 * t])),
+    "both": lambda t: jnp.dot(jnp.stack([t, 1.0 - t]), jnp.stack([t, 2.0 * t])),
+}
+
+
+@pytest.mark.parametrize("name", VECTORS)
+def test_a_product_of_vectors_holds_all_its_values(name):
+    ts = np.linspace(-0.5, 2.0, 301)
+    values = np.asarray(jax.vmap(VECTORS[name])(ts))
+    (found,) = enclose(VECTORS[name], Interval(jnp.asarray(-0.5), jnp.asarray(2.0))).values
+    assert float(found.lo) <= values.min() + 1e-12
+    assert float(found.hi) >= values.max() - 1e-12

@@ -96,6 +96,12 @@ def test_peak_ratio_is_good_to_twenty_times_the_tolerance(order, peak, rtol):
     assert float(run.figures.peak_ratio) == pytest.approx(peak, abs=20 * rtol)
 
 
+@PEAKS
+def test_the_physical_route_finds_the_peak_too(peak):
+    run = make(1, peak, settings=qj.SolverSettings(coordinates="physical")).run
+    assert float(run.figures.peak_ratio) == pytest.approx(peak, abs=2e-5)
+
+
 @ORDERS
 def test_peak_comes_at_its_time(order):
     assert float(make(order, 0.7).run.figures.peak_time) == pytest.approx(math.pi / 2 / FREQUENCY, abs=1e-4)

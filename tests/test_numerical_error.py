@@ -13,6 +13,7 @@ from qsmc_jax.cli.verify_command import _tell
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.verification.evidence import Effort, Evidence
 from qsmc_jax.verification.numerical_error import SAMPLE, Sample, recheck
+from qsmc_jax.verification.result import Claim
 from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import UntilBelow, decision_of
 from tests.coin_study import study
@@ -212,6 +213,23 @@ def test_the_verdict_is_that_of_the_claims():
             verdicts = {claim.verdict for claim in found.claims}
             expected = qj.Verdict.VIOLATED if qj.Verdict.VIOLATED in verdicts else qj.Verdict.UNDECIDED
             assert found.verdict == (qj.Verdict.HELD if verdicts == {qj.Verdict.HELD} else expected)
+
+
+COUNTS = {
+    "all held": ((9, 0, 0), (0, 0), "HELD"),
+    "one undecided": ((8, 0, 1), (0, 0), "UNDECIDED"),
+    "one violated": ((8, 1, 0), (0, 1), "VIOLATED"),
+    "violated beside undecided": ((7, 1, 1), (0, 0), "VIOLATED"),
+    "one changed": ((9, 0, 0), (1, 0), "UNDECIDED"),
+    "violated, but not confirmed": ((8, 1, 0), (1, 0), "UNDECIDED"),
+    "violated and confirmed": ((7, 2, 0), (1, 1), "VIOLATED"),
+    "none admitted": ((0, 0, 0), (0, 0), "INADMISSIBLE"),
+}
+
+
+@pytest.mark.parametrize(("counts", "check", "verdict"), COUNTS.values(), ids=COUNTS)
+def test_a_claim_is_held_only_if_every_admitted_run_held_and_nothing_changed(counts, check, verdict):
+    assert Claim("funnel", "", *counts, 5, 0.0, 1.0, *check).verdict.name == verdict
 
 
 def test_a_stopping_rule_that_the_check_doubts_says_so():

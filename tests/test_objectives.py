@@ -134,6 +134,15 @@ def test_weights_are_central_differences(statistic, sample):
     assert weights(objective, sample) == pytest.approx(expected, abs=1e-8)
 
 
+@pytest.mark.parametrize("smoothing", [1.0, 0.3])
+@pytest.mark.parametrize("statistic", [worst, least])
+def test_weights_of_smooth_extremes_are_central_differences(statistic, smoothing):
+    """Of the width too, which is made of the values."""
+    objective = statistic("peak_u")
+    expected = central_differences(lambda at: value(objective, at, smoothing), SAMPLE, 1e-5)
+    assert weights(objective, SAMPLE, smoothing) == pytest.approx(expected, abs=1e-7)
+
+
 @given(distinct_samples, st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
 def test_weights_of_a_sum_over_one_column_are_central_differences(sample, a, b):
     objective = a * cvar("peak_u", 0.6) + b * least("peak_u") - mean("peak_u")

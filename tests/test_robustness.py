@@ -100,6 +100,17 @@ def test_undecided_runs_are_counted_both_ways():
     assert high[0] == pytest.approx(scipy.stats.binomtest(5, 50).proportion_ci(0.9).high, rel=1e-7)
 
 
+def test_intervals_of_a_grid_share_the_risk_over_all_its_cells():
+    violated, undecided, total = np.array([[2, 0, 5], [1, 3, 9]]), np.array([[0, 1, 0], [2, 0, 0]]), np.full((2, 3), 60)
+    low, high = simultaneous_intervals(violated, undecided, total, 0.9)
+    for i in np.ndindex(2, 3):
+        exact = [
+            scipy.stats.binomtest(int(k), 60).proportion_ci(1.0 - 0.1 / 6.0, method="exact")
+            for k in (violated[i], violated[i] + undecided[i])
+        ]
+        assert (low[i], high[i]) == pytest.approx((exact[0].low, exact[1].high), rel=1e-7)
+
+
 @pytest.mark.parametrize(("runs", "confidence"), [(10, 0.9), (101, 0.95), (500, 0.999)])
 def test_the_interval_of_a_median_is_that_of_its_order_statistics(runs, confidence):
     values = np.random.default_rng(runs).normal(size=runs)

@@ -208,6 +208,17 @@ def test_no_short_loss_of_the_gains_sign_is_stepped_over(width, rtol):
     assert turn < float(run.figures.violation_time) < turn + 0.1 * width
 
 
+def test_the_comparison_bound_has_the_motion_of_the_funnel():
+    """Without a push w = 0; where z is highest z' = 0, so g u = z rho': the bound is |rho'| / g, |u| is z times it."""
+    gain, funnel = 0.5, qj.Funnel(1.0, 3.0, 0.5)
+    run = qj.simulate(problems.scalar_loop(funnel, gain_scale=gain), [0.3], 3.0, bandwidth=0.75)
+    time, ratio = float(run.figures.peak_time), float(run.figures.peak_ratio)
+    speed = 3.0 * math.exp(-3.0 * time)
+    assert time > 0.01
+    assert float(run.figures.peak_u_bound) == pytest.approx(speed / gain, rel=1e-4)
+    assert float(run.figures.peak_u) == pytest.approx(ratio * speed / gain, rel=1e-3)
+
+
 def test_start_outside_is_inadmissible_and_takes_no_step():
     loop = problems.scalar_loop(problems.STILL)
     run = qj.simulate(loop, [1.5 * problems.WIDTH], 20.0, bandwidth=problems.STILL_BANDWIDTH)

@@ -192,7 +192,7 @@ class _Walk:
         if not is_point(table) or is_point(sought):
             return None
         program, others = jaxpr_as_fun(eqn.params["jaxpr"]), [interval(other).lo for other in others]
-        return Interval(*(program(table, end, *others)[0] for end in sought))
+        return Interval(*(program(table, end, *others)[0] for end in _without_nan(sought)))
 
     def _select(self, which: Enclosed, cases: Sequence[Enclosed]) -> Enclosed:
         if is_point(which):
@@ -238,7 +238,7 @@ class _Walk:
             return value if isinstance(value, Truth) else RULES["ne"](self.rounding, value, 0)
         ends = interval(value)
         if jnp.issubdtype(new, jnp.integer):
-            largest = jnp.iinfo(new)
+            largest, ends = jnp.iinfo(new), _without_nan(ends)
             fits = [jnp.clip(end, max(largest.min, _least(end)), min(largest.max, _most(end))) for end in ends]
             ends = Interval(*fits)
         result = Interval(ends.lo.astype(new), ends.hi.astype(new))
@@ -256,7 +256,7 @@ class _Walk:
 
     def _argmax(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
         """From the first place that can be highest, to the first that is sure to be, or the last that can."""
-        low, high = interval(operands[0])
+        low, high = _without_nan(interval(operands[0]))
         (axis,), kind = eqn.params["axes"], _kind(eqn.outvars[0])
         can = high >= jnp.max(low, axis=axis, keepdims=True)
         is_sure = low >= jnp.max(high, axis=axis, keepdims=True)
@@ -359,6 +359,13 @@ def _where_possible(possible: Any, case: Enclosed) -> Enclosed:
     case = interval(case)
     low = jnp.where(possible, case.lo, _extreme(case.lo, 1))
     return Interval(low, jnp.where(possible, case.hi, _extreme(case.hi, -1)))
+
+
+def _without_nan(ends: Interval) -> Interval:
+    """The interval, without bound where an end is not known."""
+    if not _is_real(ends.lo):
+        return ends
+    return Interval(*(jnp.where(jnp.isnan(end), far, end) for end, far in zip(ends, (-jnp.inf, jnp.inf), strict=True)))
 
 
 def _reduced_truth(eqn: JaxprEqn, operands: list[Truth]) -> Truth:
