@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+import problems
 import qsmc_jax as qj
 from qsmc_jax.control import thresholds
 from qsmc_jax.verification.limits import noise_bound
@@ -378,3 +379,19 @@ def test_a_rival_needs_an_implementation():
     control = qj.controllers.Sign(qj.SlidingSurface([]), FUNNEL, 0.5)
     with pytest.raises(ValueError, match="Argument `implementation` must be given for a `Sign`"):
         scalar_loop(None, control=control)
+
+
+@pytest.mark.parametrize("period", [1.0, 0.3, 0.1])
+def test_a_peak_inside_a_long_cell_is_not_missed_while_the_funnel_bends(period):
+    # x' = u with u = -0.6, its limit, from the first sample on: z = (0.7614 - 0.6 t) / (exp(-2 t) + 0.1).
+    ts = np.linspace(0.0, 1.0, 200_001)
+    margin = 1.0 - np.max((0.7614 - 0.6 * ts) / (np.exp(-2.0 * ts) + 0.1))
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 2.0, 0.1))
+    implementation = qj.Implementation(period, saturation=0.6)
+    loop = qj.ClosedLoop(
+        problems.chain(1)(), qj.references.Constant(0.0), qj.disturbances.Zero(), control, implementation
+    )
+    figures = qj.simulate(loop, [0.7614], 1.0, ts=np.array([0.0, 1.0])).figures
+    assert margin == pytest.approx(-5.2e-4, abs=1e-5)
+    assert float(figures.margin) == pytest.approx(margin, abs=1e-5)
+    assert figures.verdict == qj.Verdict.VIOLATED

@@ -234,3 +234,28 @@ def test_premise_is_strict_at_the_edge():
     starts = ((1 - 1e-6) * problems.WIDTH, problems.WIDTH)
     runs = [qj.simulate(loop, [x0], 20.0, bandwidth=problems.STILL_BANDWIDTH) for x0 in starts]
     assert [run.verdict for run in runs] == [qj.Verdict.HELD, qj.Verdict.INADMISSIBLE]
+
+
+class Fading(qj.AbstractPlant):
+    """An integrator whose gain falls slowly through zero at a given time."""
+
+    gone: Float[Array, ""] = float_field()
+    fall: Float[Array, ""] = float_field()
+    order: ClassVar[int] = 1
+
+    def drift(self, t, x):
+        return 0.0 * x[0]
+
+    def gain(self, t, x):
+        return self.fall * (self.gone - t)
+
+
+@pytest.mark.parametrize("method", ["tsit5", "rodas5p"])
+@pytest.mark.parametrize("fall", [0.2, 1.0])
+def test_a_gain_that_fades_slowly_is_a_violation_where_it_is_gone(fall, method):
+    # While there is any gain the law holds the push; what is left of the funnel then, some u e^-u, is gone at once.
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(4.0, 3.0, 0.05))
+    loop = qj.ClosedLoop(Fading(3.0, fall), qj.references.Constant(0.0), qj.disturbances.Constant(1.5), control)
+    run = qj.simulate(loop, [0.1], 10.0, settings=qj.SolverSettings(method=method))
+    assert run.verdict == qj.Verdict.VIOLATED
+    assert float(run.figures.violation_time) == pytest.approx(3.0, abs=1e-6)

@@ -18,12 +18,11 @@ from qsmc_jax.numerics import functions as functions  # whose rules register the
 from qsmc_jax.numerics import intervals
 from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, hull, interval, is_point, truth
 from qsmc_jax.numerics.rounding import Rounding
+from qsmc_jax.numerics.tries import TRIES, hull_of_points, within
 
 # Operations that a loop of fixed length may unroll to.
 _LONGEST = 4096
-# Points of the box at which a primitive without a rule is tried: two ends, the middle, corners, and others within.
-_CORNERS, _TRIES = 6, 33
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
 
 _CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call"}
 _CALLS |= {"custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}
@@ -150,8 +149,8 @@ class _Walk:
         self._note(jnp.ones((), bool))
         if any(jnp.issubdtype(getattr(var.aval, "dtype", float), jax.dtypes.extended) for var in eqn.outvars):
             raise CannotEncloseError(eqn.primitive.name)
-        tries = [_computed(eqn, [_within(value, i, k) for i, value in enumerate(operands)]) for k in range(_TRIES)]
-        return [_hull_of_points(jnp.stack(results)) for results in zip(*tries, strict=True)]
+        tries = [_computed(eqn, [within(value, i, k) for i, value in enumerate(operands)]) for k in range(TRIES)]
+        return [hull_of_points(jnp.stack(results)) for results in zip(*tries, strict=True)]
 
     def _note(self, jumps: Any) -> None:
         self.jumps = self.jumps | jnp.any(jumps)
@@ -302,30 +301,6 @@ def _computed(eqn: JaxprEqn, operands: Sequence[Any]) -> Sequence[Any]:
     """The operation on points."""
     result = eqn.primitive.bind(*operands, **eqn.params)
     return result if eqn.primitive.multiple_results else [result]
-
-
-def _within(value: Enclosed, operand: int, k: int) -> Any:
-    """The k-th point of an operand's box at which a primitive is tried: its ends, its middle, a corner, or within."""
-    if is_point(value):
-        return value
-    is_truth = isinstance(value, Truth)
-    low, high = (jnp.logical_not(value.may_not), value.may) if is_truth else value
-    places = (np.arange(np.size(low)).reshape(np.shape(low)) + 1.0 + _GOLDEN * operand) * (k * _GOLDEN)
-    shares = np.full(np.shape(low), (0.0, 1.0, 0.5)[k]) if k < 3 else places % 1.0
-    if k >= 3 and k < _CORNERS or not jnp.issubdtype(jnp.result_type(low), jnp.inexact):
-        return jnp.where(shares < 0.5, low, high)
-    inner = low + jnp.asarray(shares, low.dtype) * (high - low)
-    return jnp.where(shares == 0.0, low, jnp.where(shares == 1.0, high, inner))
-
-
-def _hull_of_points(points: Any) -> Enclosed:
-    """The least enclosure of the rows of an array; of complex numbers by real and imaginary parts."""
-    if points.dtype == bool:
-        return Truth(jnp.any(points, axis=0), ~jnp.all(points, axis=0))
-    if jnp.issubdtype(points.dtype, jnp.complexfloating):
-        real, imaginary = _hull_of_points(points.real), _hull_of_points(points.imag)
-        return Interval(*(jax.lax.complex(*ends) for ends in zip(real, imaginary, strict=True)))
-    return Interval(jnp.min(points, axis=0), jnp.max(points, axis=0))
 
 
 def _by_ends(eqn: JaxprEqn, operands: Sequence[Enclosed]) -> Any:
