@@ -82,9 +82,8 @@ def check(n, feature, method, runs, seed=0):
     table = qj.monte_carlo(study(n, feature), runs, seed, settings=settings, block=64 * math.ceil(runs / 128))
     verdicts, peaks = np.asarray(table["verdict"]), np.asarray(table["peak_ratio"])
     is_violated = verdicts == int(qj.Verdict.VIOLATED)
-    # Where a gain goes through zero slowly, s does not get far enough before time resolves no step.
     is_decided = np.isin(verdicts, [int(qj.Verdict.HELD), int(qj.Verdict.VIOLATED)])
-    assert is_decided.mean() > 0.98
+    assert is_decided.mean() > 0.99
     assert 0.03 * runs < is_violated.sum() < 0.8 * runs or feature is in_reference  # else nothing is put to the test
     extreme = np.argsort(np.where(is_violated | ~is_decided, 0.0, -peaks))[: max(SAMPLE, runs // 20)]
     others = np.random.default_rng(seed).choice(runs, max(SAMPLE, runs // 20), replace=False)
@@ -100,7 +99,11 @@ def check(n, feature, method, runs, seed=0):
 
 @pytest.mark.parametrize(
     ("n", "feature", "method"),
-    [(1, in_time, "tsit5"), (2, in_time, "rodas5p"), pytest.param(2, in_reference, "tsit5", marks=pytest.mark.slow)],
+    [
+        (1, in_time, "tsit5"),
+        pytest.param(2, in_time, "rodas5p", marks=pytest.mark.slow),
+        pytest.param(2, in_reference, "tsit5", marks=pytest.mark.slow),
+    ],
     ids=["n=1, tsit5", "n=2, rodas5p", "n=2, reference"],
 )
 def test_nothing_narrow_hides(n, feature, method):

@@ -104,8 +104,8 @@ def figures(name, method, preset):
 SLOW = ("constant 10, n=1", "constant 8, n=2", "constant 5, n=4", "sine, n=4")
 
 
-@pytest.mark.parametrize("preset", RTOL)
-@pytest.mark.parametrize("method", ["tsit5", "rodas5p"])
+@pytest.mark.parametrize("preset", ["default", pytest.param("tight", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["tsit5", pytest.param("rodas5p", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in LOOPS])
 def test_figures_of_the_input_and_the_error_are_scipys(name, method, preset):
     truth, found = scipys(name), figures(name, method, preset)

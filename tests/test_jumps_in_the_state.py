@@ -36,7 +36,7 @@ def scenario(plant):
     """A run of a plant, in which it is asked whether it jumps."""
     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(4.0, 3.0, 0.05))
     loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Zero(), control)
-    return qj.Scenario(loop, [0.5, 0.0], 1.0)
+    return qj.Scenario(loop, [0.5, 0.3], 1.0)
 
 
 SAID = re.compile(

@@ -125,6 +125,13 @@ def test_horizon_up_to_the_reaching_time_decides_nothing_about_reaching(t1, reac
     assert claims(run)[:2] == ["HELD", reaching]
 
 
+@pytest.mark.parametrize("t1", [0.5, 1.5])
+def test_a_run_that_is_still_outside_the_bandwidth_before_the_reaching_time_has_broken_nothing(t1):
+    run = simulate(x0=0.95, t1=t1, strength=0.01)  # hardly pushed at all
+    assert float(run.figures.reach_time) == math.inf
+    assert claims(run) == ["HELD", "UNDECIDED", "UNDECIDED"]
+
+
 def test_a_run_that_was_not_begun_prints_no_figures():
     first, advice = str(simulate(x0=3.0)).splitlines()
     assert first == "Trajectory that was not begun: funnel INADMISSIBLE, reaching INADMISSIBLE, tracking INADMISSIBLE"

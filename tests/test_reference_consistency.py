@@ -100,7 +100,6 @@ RIGHT = {
         jnp.where(t < 5, 0, 2 * (t - 5)),
         jnp.where(t < 5, 0.0, 2.0),
     ),
-    "not a number at one time": lambda t: (jnp.where(t == 5.0, jnp.nan, t), 1.0, 0.0),
     "constant": lambda t: (1.0, 0.0, 0.0),
     "a step": lambda t: (jnp.where(t < 5.0, 0.0, 1.0), 0.0 * t, 0.0 * t),  # its pieces agree; the solve finds the jump
 }

@@ -153,6 +153,7 @@ def test_a_short_push_in_a_long_run():
         agrees(Case(horizon=1e4, at=6543.21, width=width, height=60.0), "rodas5p")
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_what_is_saved():
     dip = Case(funnel=TIGHT, where=G, height=3.0)
     push = Case(at=7.08, width=0.002, height=60.0)
@@ -169,7 +170,8 @@ def dipping(draw):
     return qj.Scenario(one.loop(), x0=[0.5], t1=100.0)
 
 
-@pytest.mark.parametrize("runs", [64, pytest.param(512, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [64, 512])
 def test_a_study_of_a_dip_at_a_drawn_time_leaves_in_every_run(runs):
     found = qj.verify(qj.Study(dipping, bandwidth=0.01), runs, block=64)
     assert found.verdict == qj.Verdict.VIOLATED
@@ -274,7 +276,7 @@ def test_functions_that_bend_or_jump_need_no_declaration(group, number, method):
 
 @pytest.mark.parametrize(
     "count",
-    [pytest.param(50, marks=pytest.mark.slow), 64, *(pytest.param(k, marks=pytest.mark.slow) for k in (100, 1000))],
+    [64, *(pytest.param(k, marks=pytest.mark.slow) for k in (50, 100, 1000))],
 )
 def test_evenly_spaced_switches(count):
     levels = 0.9 * np.random.default_rng(count).uniform(-1.0, 1.0, count)

@@ -5,7 +5,6 @@ Between two changes of the command their motion is known in closed form, so that
 
 import abc
 import functools as ft
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,24 +13,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
-
-
-class Swing(NamedTuple):
-    """What an input does over a stretch of time: its total variation, its largest size, the integral of its square."""
-
-    variation: RealScalarLike
-    peak: RealScalarLike
-    energy: RealScalarLike
-
-
-def held_swing(command: RealScalarLike, dt: RealScalarLike) -> Swing:
-    """That of an input that stands still.
-
-    Args:
-        command: The command that is held.
-        dt: Time [s] that passes.
-    """
-    return Swing(jnp.zeros_like(dt), jnp.abs(command), dt * command**2)
+from qsmc_jax.implementation.swing import Swing
 
 
 class AbstractActuator(AbstractModule):

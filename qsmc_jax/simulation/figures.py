@@ -270,12 +270,10 @@ def _verdicts(
     funnel = jnp.where(outcome == Outcome.COMPLETED, int(Verdict.HELD), int(Verdict.UNDECIDED))
     funnel = jnp.where(outcome == Outcome.LEFT_FUNNEL, int(Verdict.VIOLATED), funnel)
     funnel = jnp.where(is_refused(outcome), int(Verdict.INADMISSIBLE), funnel)
-    later = later_verdicts(
-        problem,
-        ending.horizon,
-        (jnp.asarray(reach_time >= problem.reaching_time), is_since(ending.run.tally.unsettled, problem.settling_time)),
-        (jnp.array(True), jnp.isfinite(settle_time)),
-    )
+    # A run that is still outside where the horizon ends before t_r has broken nothing yet.
+    is_late = (reach_time >= problem.reaching_time) & (ending.horizon > problem.reaching_time)
+    is_broken = jnp.asarray(is_late), is_since(ending.run.tally.unsettled, problem.settling_time)
+    later = later_verdicts(problem, ending.horizon, is_broken, (jnp.array(True), jnp.isfinite(settle_time)))
     admits = problem.loop.control.funnel.admits(problem.bandwidth)
     is_open = (funnel == Verdict.HELD) | ~admits
     reaching, tracking = (jnp.where(is_open, verdict, funnel) for verdict in later)

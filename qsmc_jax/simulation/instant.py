@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from qsmc_jax.base.hermite import Cubic
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.implementation.actuators import Swing
+from qsmc_jax.implementation.swing import Swing
 from qsmc_jax.loop import Terms
 from qsmc_jax.simulation.tally import Problem
 

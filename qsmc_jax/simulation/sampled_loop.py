@@ -20,8 +20,8 @@ from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.control.control import Sample
-from qsmc_jax.implementation.actuators import held_swing
 from qsmc_jax.implementation.implementation import Implementation
+from qsmc_jax.implementation.swing import held_swing
 from qsmc_jax.numerics.unseen import Nodes, Step
 from qsmc_jax.simulation.explicit import explicit_stages, weighted
 from qsmc_jax.simulation.guard import Path, hidden_in_cell
