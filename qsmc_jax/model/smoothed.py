@@ -118,7 +118,7 @@ def stribeck(
         >>> [round(float(value), 4) for value in friction]
         [0.0, 1.5001, 1.2]
 
-    Source: Armstrong-Hélouvry, Dupont, Canudas de Wit, "A survey of models, analysis tools and compensation methods for
+    Source: Armstrong-Hélouvry, Dupont et al., "A survey of models, analysis tools and compensation methods for
         the control of machines with friction", Automatica 30(7), 1994; the rounded sign is ours.
     """
     for name, value in (("coulomb", coulomb), ("static", static), ("viscous", viscous)):
