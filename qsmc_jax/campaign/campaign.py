@@ -46,7 +46,7 @@ def prepare(
         >>> import tempfile
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
-        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
         >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     qj.campaign.prepare(pathlib.Path(place, "run"), recipe).manifest["identity"]["seed"]
@@ -102,7 +102,7 @@ def run_campaign(
         >>> import tempfile
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
-        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
         >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
@@ -172,7 +172,7 @@ def work_shard(
         >>> import tempfile
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
-        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
         >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe, file_runs=64)

@@ -40,7 +40,7 @@ class Recipe:
 
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
-        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
         >>> study = qj.Study(scenario, bandwidth=0.1)
         >>> identity = qj.campaign.Recipe(study, source="gain = 1  # a first try").identity
         >>> identity == qj.campaign.Recipe(study, source="gain=1").identity

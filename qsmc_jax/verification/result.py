@@ -87,7 +87,7 @@ class Verification:
     Examples:
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
-        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
         >>> study = qj.Study(scenario, bandwidth=0.1)
         >>> found = qj.verify(study, runs=64, block=64)
         >>> found.verdict.name, found.claims[0].held, found.plan(1e-3)

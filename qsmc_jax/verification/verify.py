@@ -68,7 +68,7 @@ def verify(
     Examples:
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
-        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
         >>> study = qj.Study(scenario, bandwidth=0.1)
         >>> print(qj.verify(study, runs=64, block=64).conclusion())
         HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
