@@ -33,10 +33,15 @@ def number(text):
 
 
 def scenario(plant):
-    """A run of a plant, in which it is asked whether it jumps."""
+    """A run of a plant."""
     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(4.0, 3.0, 0.05))
     loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Zero(), control)
     return qj.Scenario(loop, [0.5, 0.3], 1.0)
+
+
+def asked(plant):
+    """Has a plant asked whether it jumps, as the nominal run of a study is."""
+    qj.Study(lambda draw: scenario(plant), bandwidth=0.1)
 
 
 SAID = re.compile(
@@ -48,7 +53,7 @@ SAID = re.compile(
 def refused(f, g=lambda t, x: 1.0):
     """Which method jumps, the values before and after, the time and the state, as the message says."""
     with pytest.raises(ValueError, match=r"Round it .* `qj.smoothed.sign\(v, width\)`") as error:
-        scenario(Plant(f, g))
+        asked(Plant(f, g))
     method, *rest = SAID.match(str(error.value)).groups()
     return method, [float(part) for part in rest]
 
@@ -124,7 +129,7 @@ CONTINUOUS = {
 
 @pytest.mark.parametrize("function", CONTINUOUS.values(), ids=CONTINUOUS)
 def test_what_is_continuous_in_the_state_is_accepted(function):
-    scenario(Plant(lambda t, x: function(x[1]) - x[0]))
+    asked(Plant(lambda t, x: function(x[1]) - x[0]))
 
 
 def test_a_jump_is_found_along_any_axis_and_in_sums_of_states():
@@ -139,7 +144,7 @@ def test_a_relay_in_the_gain_is_refused():
 
 
 def test_jumps_in_time_are_accepted_also_where_the_state_enters():
-    scenario(
+    asked(
         Plant(lambda t, x: jnp.where(t < 5.0, -4.9, -9.8) * jnp.sin(x[0]), lambda t, x: 1.0 + jnp.floor(t) * x[0] ** 2)
     )
 
@@ -165,19 +170,19 @@ class Joined(qj.AbstractPlant):
 
 def test_the_numbers_of_a_plant_decide():
     for _ in range(2):
-        scenario(Joined(0.0))
+        asked(Joined(0.0))
         with pytest.raises(
             ValueError, match=r"`drift` of `Joined` .* jumps from 1e-10 to -0\.5 at t = 0, x = \(0, 0\)"
         ):
-            scenario(Joined(0.5))
+            asked(Joined(0.5))
 
 
 def test_what_can_not_be_followed_passes():
     def called(t, x):
         return jnp.floor(x[0]) + jax.pure_callback(np.sign, jax.ShapeDtypeStruct((), float), x[1])
 
-    scenario(Plant(called))
-    scenario(Plant(lambda t, x: jax.lax.fori_loop(0, 3, lambda i, sum: sum + jnp.sign(x[0]), 0.0)))
+    asked(Plant(called))
+    asked(Plant(lambda t, x: jax.lax.fori_loop(0, 3, lambda i, sum: sum + jnp.sign(x[0]), 0.0)))
 
 
 def test_the_nominal_scenario_of_a_study_is_asked():

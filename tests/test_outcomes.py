@@ -88,7 +88,8 @@ def test_drift_that_is_not_finite_is_undecided_within_few_steps():
         loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Zero(), control)
         return qj.Scenario(loop, [0.3], 5.0)
 
-    runs = qj.monte_carlo(qj.Study(scenario, bandwidth=0.2), 64, block=64, settings=SETTINGS)
+    study = qj.Study(scenario, bandwidth=0.2)
+    runs = qj.monte_carlo(study, 64, block=64, settings=SETTINGS)
     is_bad = runs["end"] < 5.0
     assert 0 < is_bad.sum() < 64
     assert set(runs["outcome"][is_bad]) == {qj.Outcome.STEP_TOO_SMALL}
@@ -96,6 +97,8 @@ def test_drift_that_is_not_finite_is_undecided_within_few_steps():
     np.testing.assert_allclose(runs["end_time"][is_bad], runs["end"][is_bad], rtol=1e-9)
     assert runs["steps"].max() < 300
     assert set(runs["verdict"][~is_bad]) == {qj.Verdict.HELD}
+    again = study.replay(int(np.argmax(is_bad)), settings=SETTINGS)  # such a row can be looked at
+    assert again.outcome == qj.Outcome.STEP_TOO_SMALL
 
 
 def test_a_drift_that_is_not_finite_from_the_start_is_undecided_within_few_steps():

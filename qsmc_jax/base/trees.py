@@ -8,8 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from qsmc_jax.base.types import RealScalarLike
-
 
 def where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
     """`new` where the condition holds, else `old`, leaf by leaf."""
@@ -19,11 +17,6 @@ def where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
 def zeros_like(tree: Any) -> Any:
     """The same tree of zeros."""
     return jax.tree.map(jnp.zeros_like, tree)
-
-
-def full_like(tree: Any, value: RealScalarLike) -> Any:
-    """The same tree with every entry equal to `value`."""
-    return jax.tree.map(lambda leaf: jnp.full_like(leaf, value), tree)
 
 
 def is_finite(tree: Any) -> Bool[Array, ""]:

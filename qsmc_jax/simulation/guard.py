@@ -35,8 +35,6 @@ Path: TypeAlias = Callable[[RealScalarLike], Scalars]
 # less than that.
 _WORTH = 1e3
 _LEAST_WORTH, _LARGEST_WORTH = 1e-6, 1e-2
-# Factor by which a small s may grow in a step in which the gain may push outwards.
-_GROWTH = 1.0
 # Rounding of a reference's derivatives, in units in the last place.
 _ROUNDING = 256.0
 
@@ -64,7 +62,8 @@ def hidden(
     amount_of_gain, lowest = _gain(loop, step, at)
     jump = _discontinuity(loop, step)
     k = 0.5 * jnp.pi / loop.control.funnel(t1)
-    growth = step.length * k * jnp.maximum(-lowest, 0.0) / _GROWTH
+    # By an exponent of 1 at most may a small s grow in a step in which the gain may push outwards.
+    growth = step.length * k * jnp.maximum(-lowest, 0.0)
     if is_nothing(pushes.amount) and is_nothing(amount_of_gain) and is_nothing(jump):
         return growth
     calmest, largest = jnp.minimum(*us), jnp.maximum(*us)

@@ -212,6 +212,10 @@ def simulate(
         >>> run.verdict.name, round(float(run.figures.peak_ratio), 4)
         ('HELD', 0.6323)
     """
+    require_kind("loop", loop, ClosedLoop, ClosedLoop.remedy)
+    x0, t1 = as_float64(x0), as_float64(t1)
+    check_start(loop, x0, t1)
+    check_functions(loop, x0, t1)
     return simulate_drawn(loop, x0, t1, bandwidth, ts, settings, np.True_)
 
 
@@ -224,8 +228,10 @@ def simulate_drawn(
     settings: SolverSettings | None,
     is_drawn_well: BoolScalarLike,
 ) -> Trajectory:
-    """As `simulate`; refused as INADMISSIBLE unless what was drawn for it had arguments in range."""
-    require_kind("loop", loop, ClosedLoop, ClosedLoop.remedy)
+    """As `simulate`; refused as INADMISSIBLE unless what was drawn for it had arguments in range.
+
+    What the user wrote is not checked again: a run of a study comes out as its row did, whatever its numbers are.
+    """
     settings = SolverSettings() if settings is None else settings
     bandwidth = as_float64(2.0 * loop.control.funnel.rho_inf if bandwidth is None else bandwidth)
     x0, t1 = as_float64(x0), as_float64(t1)
@@ -239,19 +245,26 @@ def simulate_drawn(
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
-    """Raises `ValueError` unless the start and the horizon fit the loop.
+    """Raises `ValueError` unless the start and the horizon fit the loop, and its reference's derivatives one another.
 
-    Nor may its plant jump in the state, a function not be finite, or the reference's derivatives contradict each
-    other. Traced numbers pass.
+    Traced numbers pass.
     """
     require_shape("x0", x0, (loop.order,), f"the plant has order {loop.order}")
     require_finite("x0", x0)
     require_positive("t1", t1)
     if loop.implementation is not None:
         loop.implementation.check(loop.order, t1)
+    require_consistent(loop.reference, loop.order, t1)
+
+
+def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
+    """Raises `ValueError` if what the user wrote can't be solved as it stands; traced numbers pass.
+
+    A plant must not jump in the state, and every function must be finite. A scenario alone is not asked: in a run of a
+    study such things are an outcome, and it must be possible to look at it.
+    """
     require_no_state_jumps(loop.plant)
     require_finite_functions(loop, x0, t1)
-    require_consistent(loop.reference, loop.order, t1)
 
 
 @entry_point

@@ -15,7 +15,7 @@ from qsmc_jax.base.types import BoolScalarLike, Draw
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import stiffness, with_method
-from qsmc_jax.simulation.trajectory import Trajectory, check_start, simulate_drawn
+from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn
 from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
 from qsmc_jax.study.sampling import AbstractSampling, Random
 
@@ -88,6 +88,7 @@ class Study:
         specs = _specs(self.scenario)
         values = check_values(specs, self.values)
         nominal = _call(self.scenario, PointDraw(None, values))
+        check_functions(nominal.loop, nominal.x0, nominal.t1)
         nominal.loop.control.funnel.check_bandwidth(self.bandwidth)
         for name, value in {"specs": specs, "values": values, "nominal": nominal}.items():
             object.__setattr__(self, name, value)
