@@ -1,7 +1,5 @@
 """What batches are compiled with gets every elementary function right, and a compiler that does not is found out."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import mpmath as mp
@@ -176,14 +174,14 @@ class Weak(qj.AbstractPlant):
         return x[0]
 
 
-def study_of(plant):
-    """A study whose start is the arctangent of a drawn number."""
+def study_of(plant, error=lambda start: 0.2):
+    """A study whose start is the arctangent of a drawn number; how far from the reference, as a function of it."""
 
     def scenario(draw):
         control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.1))
         start = jnp.arctan(draw.uniform("a", 0.1, 0.9))
         loop = qj.ClosedLoop(plant, qj.references.Constant(start), qj.disturbances.Constant(0.3), control)
-        return qj.Scenario(loop, x0=jnp.stack([start + 0.2]), t1=1.0)
+        return qj.Scenario(loop, x0=jnp.stack([start + error(start)]), t1=1.0)
 
     return qj.Study(scenario, bandwidth=0.2)
 
@@ -210,11 +208,8 @@ def test_an_arctangent_in_a_scenario_is_right_in_the_choice_of_a_method(count, v
 @both_ways
 def test_an_arctangent_in_a_scenario_is_right_in_every_run(vectorise):
     settings = qj.SolverSettings(vectorise=vectorise)
-    study = study_of(Integrator(1.0))
+    study = study_of(Integrator(1.0), error=lambda start: 1.3 + start)
     runs = qj.monte_carlo(study, 64, block=64, settings=settings)
-    for i in (0, 1, 63):
-        start = np.arctan(runs["a"][i])
-        loop = dataclasses.replace(study.nominal.loop, reference=qj.references.Constant(start))
-        alone = qj.simulate(loop, [start + 0.2], 1.0, bandwidth=0.2, settings=settings)
-        assert runs["peak_ratio"][i] == pytest.approx(float(alone.figures.peak_ratio), rel=1e-9)
+    # From there |sigma| / rho only falls: tan(pi z / 2) > 0.3 + 2 z for z > 0.66.
+    np.testing.assert_allclose(runs["peak_ratio"], (1.3 + np.arctan(runs["a"])) / 2.1, rtol=1e-12)
     assert len(np.unique(runs["peak_ratio"])) == 64
