@@ -32,7 +32,8 @@ def in_time(n, draw):
 def in_reference(n, draw):
     """One in the reference, of a size that an input can follow."""
     width = draw.log_uniform("width", 1e-4 * T1, 0.3 * T1)
-    height = jnp.minimum(draw.log_uniform("effort", 0.1, 100.0) * width**n, 1.0)
+    # More would keep an explicit method at its limit of stability for 1e5 steps.
+    height = jnp.minimum(draw.log_uniform("effort", 0.1, 20.0) * width**n, 1.0)
     return dict(shape=draw.choice("shape", [GAUSSIAN, STEP]), where=REF, width=width, height=draw.sign("way") * height)
 
 
@@ -83,7 +84,9 @@ def check(n, feature, method, runs, seed=0):
     verdicts, peaks = np.asarray(table["verdict"]), np.asarray(table["peak_ratio"])
     is_violated = verdicts == int(qj.Verdict.VIOLATED)
     is_decided = np.isin(verdicts, [int(qj.Verdict.HELD), int(qj.Verdict.VIOLATED)])
-    assert is_decided.mean() > 0.99
+    is_admissible = verdicts != int(qj.Verdict.INADMISSIBLE)  # a reference that turns at once may start outside
+    assert is_decided.sum() > 0.99 * is_admissible.sum()
+    assert is_admissible.mean() > 0.95
     assert 0.03 * runs < is_violated.sum() < 0.8 * runs or feature is in_reference  # else nothing is put to the test
     extreme = np.argsort(np.where(is_violated | ~is_decided, 0.0, -peaks))[: max(SAMPLE, runs // 20)]
     others = np.random.default_rng(seed).choice(runs, max(SAMPLE, runs // 20), replace=False)
@@ -97,22 +100,13 @@ def check(n, feature, method, runs, seed=0):
             assert peaks[i] == pytest.approx(peak, abs=PEAK), one
 
 
-@pytest.mark.parametrize(
-    ("n", "feature", "method"),
-    [
-        (1, in_time, "tsit5"),
-        pytest.param(2, in_time, "rodas5p", marks=pytest.mark.slow),
-        pytest.param(2, in_reference, "tsit5", marks=pytest.mark.slow),
-    ],
-    ids=["n=1, tsit5", "n=2, rodas5p", "n=2, reference"],
-)
-def test_nothing_narrow_hides(n, feature, method):
-    check(n, feature, method, 128)
+def test_nothing_narrow_hides():
+    check(1, in_time, "tsit5", 128)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["tsit5", "rodas5p"])
 @pytest.mark.parametrize("feature", [in_time, in_reference], ids=["time", "reference"])
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_nothing_narrow_hides_in_thousands(n, feature, method):
-    check(n, feature, method, 1024, seed=n)
+@pytest.mark.parametrize(("n", "runs"), [(1, 512), (2, 256), (3, 128)])
+def test_nothing_narrow_hides_in_hundreds(n, runs, feature, method):
+    check(n, feature, method, runs, seed=n)
