@@ -62,7 +62,7 @@ class ClosedLoop(AbstractModule):
         implementation: How the controller is implemented; None for the ideal loop.
 
     Raises:
-        ValueError: The surface does not have n - 1 coefficients, or the reference has not n derivatives, or a law that
+        InputError: The surface does not have n - 1 coefficients, or the reference has not n derivatives, or a law that
             the paper does not treat has no implementation. Whether an implementation fits the order and the
             horizon is checked where there is one: by `Scenario` and `simulate`.
 

@@ -23,7 +23,7 @@ from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import UntilBelow
 from tests.studies_for_tests import study
 
-SOURCE = Path(__file__).with_name("studies_for_tests.py").read_text()
+SOURCE = Path(__file__).with_name("studies_for_tests.py").read_bytes()
 RECIPE = Recipe(study, SOURCE, seed=1, block=64, threads=1)
 RUNS, SIZE = 320, 64
 
@@ -138,7 +138,7 @@ CHANGES = {
     "seed": (lambda: Recipe(study, SOURCE, seed=2), "`seed` \\(1 there, 2 now\\)"),
     "rtol": (lambda: Recipe(study, SOURCE, 1, qj.SolverSettings(rtol=1e-5)), "`rtol`"),
     "values": (lambda: Recipe(study.substitute(mu=2.0), SOURCE, 1), "`values`"),
-    "code": (lambda: Recipe(study, SOURCE + "x = 1\n", 1), "`study_code`"),
+    "code": (lambda: Recipe(study, SOURCE + b"x = 1\n", 1), "`study_code`"),
 }
 
 
@@ -151,7 +151,7 @@ def test_another_study_is_refused_with_what_differs(tmp_path, change, message):
 
 def test_comments_threads_and_block_size_change_no_row_and_are_no_other_study(tmp_path):
     new(tmp_path / "run")
-    new(tmp_path / "run", Recipe(study, "# a comment\n" + SOURCE, 1, block=128, threads=2))
+    new(tmp_path / "run", Recipe(study, b"# a comment\n" + SOURCE, 1, block=128, threads=2))
 
 
 @pytest.mark.slow
@@ -300,7 +300,7 @@ def test_the_manifest_says_what_decides_the_rows(tmp_path):
     manifest = json.loads((folder.path / "manifest.json").read_text())
     assert manifest["identity"]["seed"] == 1
     assert manifest["identity"]["parameters"]["mu"] == [1.0]
-    assert (folder.path / "study.py").read_text() == SOURCE
+    assert (folder.path / "study.py").read_bytes() == SOURCE
 
 
 def test_no_warning_in_a_sound_folder(tmp_path):

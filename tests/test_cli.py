@@ -131,7 +131,7 @@ BROKEN = {
         "import numpy as np\nimport qsmc_jax as qj\ndef scenario(draw):\n    x = np.exp(draw.uniform('a', -1.0, 0.0))\n"
         "    return qj.Scenario(qj.paper.example1(), x0=[x, x], t1=1.0)\n"
         "study = qj.Study(scenario, bandwidth=0.1)",
-        "line 4: ValueError: Argument `scenario` must be written with `jax.numpy`",
+        "line 4: Argument `scenario` must be written with `jax.numpy`",
     ),
 }
 

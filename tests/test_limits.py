@@ -52,9 +52,9 @@ def written(folder, made):
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    from qsmc_jax.cli.study_file import load_study
+    from qsmc_jax.cli.study_file import Source, load_study
 
-    return load_study(written(tmp_path_factory.mktemp("limits"), ALL), [])
+    return load_study(Source.read(written(tmp_path_factory.mktemp("limits"), ALL)), [])
 
 
 def ideal_peak():

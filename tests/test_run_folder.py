@@ -11,7 +11,7 @@ from qsmc_jax.campaign.recipe import Recipe, Solved
 from qsmc_jax.study.runs import Runs
 from tests.studies_for_tests import study
 
-SOURCE = "study = ..."
+SOURCE = b"study = ..."
 RECIPE = Recipe(study, SOURCE, seed=1)
 
 
@@ -55,7 +55,7 @@ CHANGES = {
     "vectorise": dataclasses.replace(RECIPE, settings=qj.SolverSettings(vectorise=False)),
     "values": dataclasses.replace(RECIPE, study=study.substitute(mu=2.0)),
     "bandwidth": dataclasses.replace(RECIPE, study=qj.Study(study.scenario, bandwidth=0.3)),
-    "study_code": dataclasses.replace(RECIPE, source="study = 1"),
+    "study_code": dataclasses.replace(RECIPE, source=b"study = 1"),
 }
 
 
@@ -68,7 +68,7 @@ def test_whatever_changes_a_row_is_in_the_identity(folder, name):
 
 
 def test_what_changes_no_row_is_not_in_the_identity(folder):
-    folder.check(dataclasses.replace(RECIPE, block=128, threads=3, source="study  =  ...  # the same"))
+    folder.check(dataclasses.replace(RECIPE, block=128, threads=3, source=b"study  =  ...  # the same"))
 
 
 def test_blocks_are_told_in_order_once_all_before_them_are_there(folder):

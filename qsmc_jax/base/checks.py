@@ -13,6 +13,8 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from qsmc_jax.base.errors import InputError
+
 
 def is_traced(*values: Any) -> bool:
     """Whether any of the values (leaves of pytrees) is a tracer."""
@@ -20,9 +22,9 @@ def is_traced(*values: Any) -> bool:
 
 
 def require(condition: bool, message: str) -> None:
-    """Raises `ValueError(message)` unless the condition holds."""
+    """Raises `InputError(message)` unless the condition holds."""
     if not condition:
-        raise ValueError(message)
+        raise InputError(message)
 
 
 def require_kind(name: str, value: Any, kind: type, remedy: str) -> None:
@@ -32,7 +34,7 @@ def require_kind(name: str, value: Any, kind: type, remedy: str) -> None:
         found = f"the class `{value.__name__}` itself" if is_class else f"of class `{type(value).__name__}`"
         if is_class and issubclass(value, kind) and not isabstract(value):
             remedy = f"Call it: `{value.__name__}(...)`."
-        raise ValueError(f"Argument `{name}` must be of class `{kind.__name__}`, but is {found}. {remedy}".rstrip())
+        raise InputError(f"Argument `{name}` must be of class `{kind.__name__}`, but is {found}. {remedy}".rstrip())
 
 
 def require_list(name: str, values: Any) -> None:

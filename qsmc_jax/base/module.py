@@ -11,6 +11,7 @@ import numpy as np
 from jax.core import Tracer
 
 from qsmc_jax.base.checks import require, require_kind
+from qsmc_jax.base.errors import InputError
 
 
 class AbstractModule(eqx.Module):
@@ -121,7 +122,7 @@ def as_float64(value: Any) -> Any:
     None, which stands for something switched off, stays None.
 
     Raises:
-        ValueError: It is a text, a date or complex.
+        InputError: It is a text, a date or complex.
     """
     if value is None:
         return None
@@ -131,5 +132,5 @@ def as_float64(value: Any) -> Any:
         return jnp.stack([jnp.asarray(v) for v in value])
     array = np.asarray(value)
     if array.dtype.kind in _NO_NUMBERS:
-        raise ValueError(f"A number or a list of numbers is wanted, but {value!r} was given.")
+        raise InputError(f"A number or a list of numbers is wanted, but {value!r} was given.")
     return np.asarray(array, dtype=np.float64)

@@ -34,7 +34,7 @@ def as_frame(columns: Mapping[str, Any], index: str) -> Any:
         index: The column that becomes the index.
 
     Raises:
-        ValueError: pandas is not installed.
+        InputError: pandas is not installed.
     """
     return _optional("pandas").DataFrame(dict(columns)).set_index(index)
 
@@ -48,7 +48,7 @@ def as_dataset(variables: Mapping[str, Any], coordinates: Mapping[str, Any], att
         attributes: Of the whole.
 
     Raises:
-        ValueError: xarray is not installed.
+        InputError: xarray is not installed.
     """
     return _optional("xarray").Dataset(dict(variables), dict(coordinates), dict(attributes))
 

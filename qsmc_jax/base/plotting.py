@@ -68,7 +68,7 @@ def panels(ax: Any, count: int, columns: int, size: tuple[float, float]) -> np.n
         The axes, (count,).
 
     Raises:
-        ValueError: `ax` holds another number of axes.
+        InputError: `ax` holds another number of axes.
     """
     if ax is not None:
         given = np.ravel(np.asarray(ax, dtype=object))

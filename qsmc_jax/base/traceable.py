@@ -9,6 +9,8 @@ import equinox as eqx
 import jax
 from jax.extend.core import ClosedJaxpr
 
+from qsmc_jax.base.errors import InputError
+
 T = TypeVar("T")
 R = TypeVar("R")
 _KEPT = 256  # structures
@@ -60,13 +62,13 @@ def traceable(what: str, values: str) -> Iterator[None]:
         values: What has no numbers while the function is traced.
 
     Raises:
-        ValueError: Inside the context a traced number was used as a Python number.
+        InputError: Inside the context a traced number was used as a Python number.
     """
     try:
         yield
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
         said = str(error).strip().splitlines()[0]
-        raise ValueError(
+        raise InputError(
             f"{what} must be written with `jax.numpy`, not `numpy` or `math`, with `jnp.where` in place of a Python "
             f"`if`, and without `float()`: JAX traces it with stand-ins for {values}. JAX says: {said}"
         ) from error
@@ -85,7 +87,7 @@ def trace(what: str, takes: str, module: Any, call: Callable[..., Any], *argumen
         *arguments: Shapes of its arguments.
 
     Raises:
-        ValueError: It can't be traced, or not be called so.
+        InputError: It can't be traced, or not be called so.
     """
     arrays, rest = eqx.partition(module, eqx.is_array)
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), arrays)
@@ -97,13 +99,13 @@ def trace(what: str, takes: str, module: Any, call: Callable[..., Any], *argumen
         with jax.enable_x64(True), traceable(what, f"{takes} and for its arrays"):
             return jax.make_jaxpr(program, return_shape=True)(shapes, *arguments)
     except (IndexError, TypeError) as error:
-        raise ValueError(f"{what} must take {takes} (and `self`), but calling it says: {error}.") from error
+        raise InputError(f"{what} must take {takes} (and `self`), but calling it says: {error}.") from error
 
 
 def require_number(what: str, result: Any, remedy: str = "") -> None:
     """Raises unless what a traced function returned is one number."""
     if not is_number(result):
-        raise ValueError(f"{what} must return one number, but returns {described(result)}. {remedy}".rstrip())
+        raise InputError(f"{what} must return one number, but returns {described(result)}. {remedy}".rstrip())
 
 
 def is_number(result: Any) -> bool:

@@ -5,6 +5,8 @@ import os
 import uuid
 from pathlib import Path
 
+from qsmc_jax.base.errors import InputError
+
 
 def write_whole(path: Path, content: bytes) -> None:
     """Writes under a temporary name beside it, flushes to the disk, and renames.
@@ -14,7 +16,7 @@ def write_whole(path: Path, content: bytes) -> None:
         content: All of it.
 
     Raises:
-        ValueError: The disk is full, or the folder can't be written to. Nothing is left behind.
+        InputError: The disk is full, or the folder can't be written to. Nothing is left behind.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{uuid.uuid4().hex[:8]}.tmp")
     try:
@@ -27,7 +29,7 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
-        raise ValueError(
+        raise InputError(
             f"File `{path}` can't be written: {error.strerror}. What was written before is whole: make room, or make "
             "the folder writable, and give the same command again."
         ) from None

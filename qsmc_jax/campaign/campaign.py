@@ -39,7 +39,7 @@ def prepare(
         provenance: Versions, machine and time, plain values.
 
     Raises:
-        ValueError: The folder belongs to another study (the keys that differ are named) or holds something else.
+        InputError: The folder belongs to another study (the keys that differ are named) or holds something else.
 
     Examples:
         >>> import pathlib
@@ -47,7 +47,7 @@ def prepare(
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     qj.campaign.prepare(pathlib.Path(place, "run"), recipe).manifest["identity"]["seed"]
         0
@@ -94,7 +94,7 @@ def run_campaign(
         The verification; None if it was told to stop.
 
     Raises:
-        ValueError: An argument is out of range, or a file can't be written, or the study gives other rows than the
+        InputError: An argument is out of range, or a file can't be written, or the study gives other rows than the
             folder has.
 
     Examples:
@@ -103,7 +103,7 @@ def run_campaign(
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
         ...     print(qj.campaign.run_campaign(folder, recipe, runs=64).conclusion())
@@ -173,7 +173,7 @@ def work_shard(
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe, file_runs=64)
         ...     _ = folder.ask_for(128, is_anytime=False)

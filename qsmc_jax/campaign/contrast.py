@@ -72,7 +72,7 @@ def contrast(first: RunFolder, second: RunFolder) -> Contrast:
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
         ...     _ = qj.campaign.run_campaign(folder, recipe, runs=64)

@@ -49,7 +49,7 @@ class Threads(AbstractEngine):
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
         ...     qj.campaign.run_campaign(folder, recipe, runs=64, engine=qj.campaign.Threads()).verdict.name
@@ -138,15 +138,15 @@ class Dask(AbstractEngine):
         return 2 * max(threads, 1)
 
 
-def _solve(source: str, values: dict[str, Any], options: dict[str, Any], missing: tuple[range, ...]) -> list[Solved]:
-    """What a worker does: the study comes as text, to be run here."""
+def _solve(source: bytes, values: dict[str, Any], options: dict[str, Any], missing: tuple[range, ...]) -> list[Solved]:
+    """What a worker does: the study comes as the bytes of its file, to be run here."""
     recipe = Recipe(_study(source).substitute(**values), source, **options)
     return [recipe.solve(runs) for runs in missing]
 
 
 @ft.lru_cache(maxsize=4)
-def _study(source: str) -> Study:
-    """The study that a text defines; run once in a worker, so that its programs are compiled once."""
+def _study(source: bytes) -> Study:
+    """The study that a file defines; run once in a worker, so that its programs are compiled once."""
     names: dict[str, Any] = {"__name__": "qsmc_study"}
     exec(compile(source, "study.py", "exec"), names)
     require(isinstance(names.get("study"), Study), "The study's file must define `study`.")

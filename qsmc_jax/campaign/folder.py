@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from qsmc_jax.base.checks import require, require_count
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.blocks import BlockFile, block_files, gaps, write_block
 from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
@@ -35,7 +36,7 @@ class RunFolder:
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
         ...     qj.campaign.RunFolder.open(folder.path).missing(0, 128)
@@ -58,7 +59,7 @@ class RunFolder:
             provenance: Versions, machine and time, plain values.
 
         Raises:
-            ValueError: The folder has something else in it, or can't be made.
+            InputError: The folder has something else in it, or can't be made.
         """
         require_count("file_runs", file_runs)
         try:
@@ -72,9 +73,9 @@ class RunFolder:
             (path / "sessions").mkdir()
         except OSError as error:
             message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
-            raise ValueError(message) from None
+            raise InputError(message) from None
         folder = cls(path)
-        write_whole(path / "study.py", recipe.source.encode())
+        write_whole(path / "study.py", recipe.source)
         folder.write_json(
             "manifest.json",
             {
@@ -99,7 +100,7 @@ class RunFolder:
             path: The folder.
 
         Raises:
-            ValueError: It is none, or of a newer version of this package.
+            InputError: It is none, or of a newer version of this package.
         """
         folder = cls(path)
         require(folder.exists, f"Argument `RUN` must be the folder of a campaign, but `{path}` has no `manifest.json`.")
@@ -126,12 +127,12 @@ class RunFolder:
             name: Its name, relative to the folder.
 
         Raises:
-            ValueError: It is missing or damaged.
+            InputError: It is missing or damaged.
         """
         try:
             return json.loads((self.path / name).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise ValueError(f"File `{self.path / name}` can't be read: {error}.") from None
+            raise InputError(f"File `{self.path / name}` can't be read: {error}.") from None
 
     def check(self, recipe: Recipe) -> None:
         """Raises, with the keys that differ, unless the recipe is the folder's own.
@@ -263,7 +264,7 @@ class RunFolder:
             pass  # another worker was quicker
         except OSError as error:
             message = f"File `{file.path}` is damaged and can't be moved to `{aside}`: {error.strerror}."
-            raise ValueError(message) from None
+            raise InputError(message) from None
 
 
 @dataclasses.dataclass

@@ -29,7 +29,7 @@ class Recipe:
 
     Attributes:
         study: The study.
-        source: Text of the file that defines it.
+        source: The bytes of the file that defines it.
         seed: Seed of the runs.
         settings: Method and tolerances of the first solve.
         block: Runs solved together, a multiple of 64; the rows do not depend on it.
@@ -42,13 +42,13 @@ class Recipe:
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
         >>> study = qj.Study(scenario, bandwidth=0.1)
-        >>> identity = qj.campaign.Recipe(study, source="gain = 1  # a first try").identity
-        >>> identity == qj.campaign.Recipe(study, source="gain=1").identity
+        >>> identity = qj.campaign.Recipe(study, source=b"gain = 1  # a first try").identity
+        >>> identity == qj.campaign.Recipe(study, source=b"gain=1").identity
         True
     """
 
     study: Study
-    source: str
+    source: bytes
     seed: int = 0
     settings: SolverSettings = dataclasses.field(default_factory=SolverSettings)
     block: int = BLOCK

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.checks import require, require_count
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.simulation.outcome import Outcome, Verdict
@@ -54,7 +55,7 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         The run, and whether it came out as recorded; `print` it.
 
     Raises:
-        ValueError: Not exactly one of the two is given, or there is no such row.
+        InputError: Not exactly one of the two is given, or there is no such row.
 
     Examples:
         >>> import pathlib
@@ -62,7 +63,7 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source="study = ...")
+        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
         ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
         ...     _ = qj.campaign.run_campaign(folder, recipe, runs=64)
@@ -91,7 +92,7 @@ def _row(folder: RunFolder, index: int) -> dict[str, Any]:
     for table in folder.tables(index, index + 1):
         if len(table):
             return table.row(0)
-    raise ValueError(f"Argument `--run` must be a run that is there, but `{folder.path}` has no row {index}.")
+    raise InputError(f"Argument `--run` must be a run that is there, but `{folder.path}` has no row {index}.")
 
 
 def _worst(folder: RunFolder, rank: int) -> dict[str, Any]:

@@ -10,11 +10,13 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.interrupts import finishing
 from qsmc_jax.cli.options import Block, Cache, Json, Out, Threads
 from qsmc_jax.cli.recipes import recipe_again
-from qsmc_jax.cli.session import UNDECIDED, session
+from qsmc_jax.cli.session import session
 
 Folder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder that `qsmc verify --out` made.")]
 Study = Annotated[Path | None, typer.Option("--study", help="The study's file, if it is no longer where it was.")]
@@ -53,9 +55,10 @@ def show_run(
 ) -> None:
     """Solve one run of a campaign again, in full, and hold it against the recorded row."""
     with session(cache):
+        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.campaign.replay import replay
-        from qsmc_jax.report.folder import ResultFolder, to_json
+        from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.signals import figures_as_numbers
 
         folder = RunFolder.open(run)
@@ -69,7 +72,7 @@ def show_run(
                 result.add_figure("run.png", again.trajectory.plot)
                 result.commit()
         say(to_json(numbers) if as_json else f"{again}" + (f"\nWritten to {out}." if out else ""))
-    raise typer.Exit(0 if again.agrees else UNDECIDED)
+    raise typer.Exit(HELD if again.agrees else UNDECIDED)
 
 
 def make_report(run: Folder) -> None:
@@ -95,7 +98,7 @@ def export_rows(
         folder = RunFolder.open(run)
         path = out or run.with_name(run.name + {"csv": ".csv", "netcdf": ".nc"}[to])
         if path.exists():
-            raise ValueError(f"Argument `--out` must be a new file, but `{path}` exists. Choose another.")
+            raise InputError(f"Argument `--out` must be a new file, but `{path}` exists. Choose another.")
         {"csv": write_csv, "netcdf": write_netcdf}[to](folder, path)
         say(f"Written to {path}.")
 
@@ -117,18 +120,18 @@ def work(
         folder = RunFolder.open(run)
         number, count = _shard(shard)
         recipe = recipe_again(folder, study, block=block, threads=threads)
-        origin = provenance(study or Path(folder.manifest["study_path"]), sys.argv)
+        origin = provenance(study or Path(folder.manifest["study_path"]), recipe.source, sys.argv)
         with progress_bar(f"shard {shard}", quiet=False) as progress, finishing() as should_stop:
             options: dict[str, Any] = {"progress": progress, "should_stop": should_stop, "provenance": origin}
             is_done = work_shard(folder, recipe, number, count, **options)
         finish = "All shards done? `qsmc verify` with this folder as `--out` sums up."
         say(f"Shard {shard} of {run} is {'done' if is_done else 'interrupted'}. {finish}")
-    raise typer.Exit(0 if is_done else UNDECIDED)
+    raise typer.Exit(HELD if is_done else UNDECIDED)
 
 
 def _shard(text: str) -> tuple[int, int]:
     try:
         number, count = map(int, text.split("/"))
     except ValueError:
-        raise ValueError(f"Argument `--shard` must be I/N such as 0/4, but is `{text}`.") from None
+        raise InputError(f"Argument `--shard` must be I/N such as 0/4, but is `{text}`.") from None
     return number, count

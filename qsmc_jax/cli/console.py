@@ -1,14 +1,40 @@
 """What the command line shows while it works, on standard error, and what it says in the end, on standard output."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TextIO
+
+# Where results go; the last one counts.
+_RESULTS: list[TextIO] = []
+
+
+@contextlib.contextmanager
+def results_to(file: TextIO) -> Iterator[None]:
+    """Has `say` print to a file, wherever standard output goes meanwhile."""
+    _RESULTS.append(file)
+    try:
+        yield
+    finally:
+        _RESULTS.pop()
 
 
 def say(text: str, *, is_error: bool = False) -> None:
-    """Prints a text as it is."""
-    import typer
+    """Prints a text as it is. A reader who has gone, as in `qsmc ... | head`, changes nothing."""
+    file = sys.stderr if is_error else (_RESULTS or [sys.stdout])[-1]
+    try:
+        print(text, file=file, flush=True)
+    except BrokenPipeError:
+        # What is left in the buffer would fail once more when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), file.fileno())
 
-    typer.echo(text, err=is_error)
+
+def say_json(content: Mapping[str, Any]) -> None:
+    """Prints one JSON document."""
+    from qsmc_jax.base.json_numbers import to_json
+
+    say(to_json(content))
 
 
 @contextlib.contextmanager

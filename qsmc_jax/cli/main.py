@@ -1,6 +1,6 @@
 """The program `qsmc`: `simulate` and `paper` here, the other commands in files of their own.
 
-Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.
+What the exit codes mean is said in `program.py`.
 """
 
 import contextlib
@@ -9,23 +9,43 @@ from typing import Annotated
 
 import typer
 
+from qsmc_jax import __version__
 from qsmc_jax.cli.campaign_commands import register_campaign
 from qsmc_jax.cli.console import say, waiting
+from qsmc_jax.cli.exit_codes import HELD, MEANING, VIOLATED, code_of
 from qsmc_jax.cli.newcomer_commands import register_newcomer
 from qsmc_jax.cli.options import Cache, Json, MaxSteps, Method, Out, Overrides, Rtol, Seed, StudyFile
+from qsmc_jax.cli.program import Program
 from qsmc_jax.cli.robustness_commands import register
-from qsmc_jax.cli.session import UNDECIDED, session
-from qsmc_jax.cli.study_file import load_study
+from qsmc_jax.cli.session import session
+from qsmc_jax.cli.study_file import Source, load_study
 from qsmc_jax.cli.tune_command import tune_study
-from qsmc_jax.cli.verify_command import EXIT_CODES, verify_study
+from qsmc_jax.cli.verify_command import verify_study
 
 app = typer.Typer(
-    add_completion=False,
+    cls=Program,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Simulate, verify and tune quasi-sliding-mode control loops. "
-    "Exit codes: 0 held, 1 violated, 2 bad input, 3 undecided or interrupted.",
+    help=f"Simulate, verify and tune quasi-sliding-mode control loops. {MEANING}",
 )
+
+
+def _say_version(is_asked: bool) -> bool:
+    if is_asked:
+        say(f"qsmc_jax {__version__}")
+        raise typer.Exit(HELD)
+    return is_asked
+
+
+@app.callback()
+def configure(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Simulate, verify and tune quasi-sliding-mode control loops."""
+    del version, debug  # the former ends the program, the latter is seen by `Program` before anything can fail
 
 
 @app.command()
@@ -44,11 +64,12 @@ def simulate(
     """Solve the nominal run of a study, or replay one run of a verification, in full."""
     with session(cache):
         from qsmc_jax import SolverSettings
-        from qsmc_jax.report.folder import ResultFolder, to_json
+        from qsmc_jax.base.json_numbers import to_json
+        from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.signals import figures_as_numbers
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
-            study = load_study(study_file, overrides or [])
+            study = load_study(Source.read(study_file), overrides or [])
             settings = SolverSettings(rtol=rtol, max_steps=max_steps, method=method)
             with waiting("solving", quiet=as_json):
                 run = (
@@ -63,14 +84,15 @@ def simulate(
                     folder.add_figure("phase_plane.png", run.plot_phase_plane)
                 folder.commit()
         say(to_json(numbers) if as_json else str(run) + (f"\nWritten to {out}." if out else ""))
-    raise typer.Exit(EXIT_CODES.get(run.verdict.name, UNDECIDED))
+    raise typer.Exit(code_of(run.verdict.name))
 
 
 @app.command()
 def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
     """Both examples of the paper from all their starts: a table of claim, paper's number and ours, and the pictures."""
     with session(cache):
-        from qsmc_jax.report.folder import ResultFolder, to_json
+        from qsmc_jax.base.json_numbers import to_json
+        from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.paper_table import as_text, rows, simulate_example
         from qsmc_jax.simulation.trajectory_plots import plot_trajectory
 
@@ -90,7 +112,7 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
                 folder.add_json("paper.json", content)
                 folder.commit()
         say(to_json(content) if as_json else as_text(table) + (f"\nWritten to {out}." if out else ""))
-    raise typer.Exit(0 if all(row.is_met for row in table) else 1)
+    raise typer.Exit(HELD if all(row.is_met for row in table) else VIOLATED)
 
 
 app.command("verify")(verify_study)

@@ -15,6 +15,7 @@ from typing import Annotated
 
 import typer
 
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.cache import cache_folder, keep_compiled_programs
 from qsmc_jax.cli.console import say
 from qsmc_jax.cli.options import Cache
@@ -36,15 +37,15 @@ def write_study(
     """Write a commented study that runs at once, to begin with."""
     with session(cache=False):
         if path.suffix != ".py":
-            raise ValueError(f"Argument `FILE` must be a Python file, such as `{path.name}.py`, but is `{path}`.")
+            raise InputError(f"Argument `FILE` must be a Python file, such as `{path.name}.py`, but is `{path}`.")
         text = resources.files("qsmc_jax.cli").joinpath("templates", "new_study.py").read_text(encoding="utf-8")
         try:
             with path.open("x", encoding="utf-8") as file:
                 file.write(text.replace("my_study.py", str(path)))
         except FileExistsError:
-            raise ValueError(f"Argument `FILE` must be a new file, but `{path}` exists. Choose another.") from None
+            raise InputError(f"Argument `FILE` must be a new file, but `{path}` exists. Choose another.") from None
         except OSError as error:
-            raise ValueError(f"Argument `FILE` can't be written: {path}: {error.strerror}.") from None
+            raise InputError(f"Argument `FILE` can't be written: {path}: {error.strerror}.") from None
         say(f"Written to {path}. Next:\n  qsmc verify {path} --runs 1000\nthen read it, and put in your own plant.")
 
 

@@ -12,7 +12,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.grids import parse_grids, parse_interval
 from qsmc_jax.cli.options import (
     Block,
@@ -27,8 +29,8 @@ from qsmc_jax.cli.options import (
     Threads,
     Together,
 )
-from qsmc_jax.cli.session import UNDECIDED, session
-from qsmc_jax.cli.study_file import load_studies, load_study
+from qsmc_jax.cli.session import session
+from qsmc_jax.cli.study_file import Source, load_studies, load_study
 
 _GRID = "NAME=LO:HI:log|lin:N"
 
@@ -68,18 +70,19 @@ def map_robustness(
         from qsmc_jax.verification.robustness import robustness_map
 
         if dimensionless and not out:
-            raise ValueError("Argument `--dimensionless` is about the picture: it needs `--out`.")
-        study, grids = load_study(study_file, overrides or []), parse_grids(over)
+            raise InputError("Argument `--dimensionless` is about the picture: it needs `--out`.")
+        source, grids = Source.read(study_file), parse_grids(over)
+        study = load_study(source, overrides or [])
         if dimensionless and not limits(study, grids).scales:
             names = ", ".join(f"`{name}`" for name in grids)
-            raise ValueError(f"Argument `--dimensionless` needs a name with a natural unit, but {names} has none.")
+            raise InputError(f"Argument `--dimensionless` needs a name with a natural unit, but {names} has none.")
         settings = SolverSettings(rtol=rtol, max_steps=max_steps)
 
         def work(progress: Any) -> Any:
             options = {"settings": settings, "block": block, "threads": threads, "progress": progress}
             return robustness_map(study, grids, runs, seed, confidence, **options)
 
-        _deliver("map", study_file, out, as_json, work, lambda found: found.plot(dimensionless=dimensionless))
+        _deliver("map", source, out, as_json, work, lambda found: found.plot(dimensionless=dimensionless))
 
 
 def find_critical(
@@ -111,7 +114,8 @@ def find_critical(
         from qsmc_jax.simulation.settings import SolverSettings
         from qsmc_jax.verification.critical import critical_value
 
-        study, ends = load_study(study_file, overrides or []), parse_interval(between)
+        source, ends = Source.read(study_file), parse_interval(between)
+        study = load_study(source, overrides or [])
         settings = SolverSettings(rtol=rtol, max_steps=max_steps)
 
         def work(progress: Any) -> Any:
@@ -119,8 +123,8 @@ def find_critical(
             solving = {"settings": settings, "block": block, "threads": threads, "progress": progress}
             return critical_value(study, name, below, between=ends, side=side, **options, **solving)
 
-        found = _deliver("critical", study_file, out, as_json, work, lambda result: result.plot())
-    raise typer.Exit(0 if found.is_found else UNDECIDED)
+        found = _deliver("critical", source, out, as_json, work, lambda result: result.plot())
+    raise typer.Exit(HELD if found.is_found else UNDECIDED)
 
 
 def compare_studies(
@@ -146,9 +150,9 @@ def compare_studies(
     Exit codes: 0 done, 2 bad input, 3 interrupted.
     """
     with session(cache):
+        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.campaign.contrast import contrast
         from qsmc_jax.campaign.folder import RunFolder
-        from qsmc_jax.report.folder import to_json
         from qsmc_jax.simulation.settings import SolverSettings
         from qsmc_jax.verification.comparison import compare
 
@@ -156,32 +160,34 @@ def compare_studies(
             found = contrast(RunFolder.open(studies_file), RunFolder.open(other))
             say(to_json(found.summary()) if as_json else str(found))
             return
-        studies = load_studies(studies_file, overrides or [])
+        source = Source.read(studies_file)
+        studies = load_studies(source, overrides or [])
         settings = SolverSettings(rtol=rtol, max_steps=max_steps)
 
         def work(progress: Any) -> Any:
             options = {"metrics": metric or None, "settings": settings, "block": block, "threads": threads}
             return compare(studies, runs, seed, confidence, **options, progress=progress)
 
-        _deliver("comparison", studies_file, out, as_json, work, lambda result: result.plot())
+        _deliver("comparison", source, out, as_json, work, lambda result: result.plot())
 
 
 def _deliver(
     stem: str,
-    study_file: Path,
+    source: Source,
     out: Path | None,
     as_json: bool,
     work: Callable[[Any], Any],
     draw: Callable[[Any], Any],
 ) -> Any:
     """Does the work, writes its result as JSON, Parquet and picture into the folder, all or nothing, and prints it."""
-    from qsmc_jax.report.folder import ResultFolder, to_json
+    from qsmc_jax.base.json_numbers import to_json
+    from qsmc_jax.report.folder import ResultFolder
     from qsmc_jax.report.provenance import provenance
 
     with ResultFolder(out) if out else contextlib.nullcontext() as folder:
         with progress_bar("solving", quiet=as_json) as progress:
             result = work(progress)
-        content = {**result.summary(), "provenance": provenance(study_file, sys.argv)}
+        content = {**result.summary(), "provenance": provenance(source.path, source.content, sys.argv)}
         if folder:
             folder.add_json(f"{stem}.json", content)
             folder.add_table(f"{stem}.parquet", result.table())

@@ -1,30 +1,24 @@
-"""What every command runs in: bad input and interruptions end in one sentence and an exit code."""
+"""What every command runs in: compiled programs kept, warnings in one line, a study's own output out of the way."""
 
 import contextlib
+import sys
 import warnings
 from collections.abc import Iterator
 
-import typer
-
 from qsmc_jax.cli.cache import keep_compiled_programs
-from qsmc_jax.cli.console import say
-
-BAD_INPUT, UNDECIDED = 2, 3
+from qsmc_jax.cli.console import results_to, say
 
 
 @contextlib.contextmanager
 def session(cache: bool) -> Iterator[None]:
-    """Bad input ends in one sentence and exit code 2, an interruption in 3; never in a traceback."""
+    """Standard output is for what the command says in the end: all that a study prints goes to standard error.
+
+    Args:
+        cache: Whether compiled programs are kept in the user's cache folder.
+    """
     if cache:
         keep_compiled_programs()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", UserWarning)
-            warnings.showwarning = lambda message, *_: say(f"qsmc: {message}", is_error=True)
-            yield
-    except ValueError as error:
-        say(f"qsmc: {error}", is_error=True)
-        raise typer.Exit(BAD_INPUT) from None
-    except KeyboardInterrupt:
-        say("qsmc: interrupted; nothing half-done was kept.", is_error=True)
-        raise typer.Exit(UNDECIDED) from None
+    with warnings.catch_warnings(), results_to(sys.stdout), contextlib.redirect_stdout(sys.stderr):
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_: say(f"qsmc: {message}", is_error=True)
+        yield

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from qsmc_jax.cli.console import live_line, say, waiting
+from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile, Threads
-from qsmc_jax.cli.session import UNDECIDED, session
-from qsmc_jax.cli.study_file import load_study
+from qsmc_jax.cli.session import session
+from qsmc_jax.cli.study_file import Source, load_study
 
 if TYPE_CHECKING:
     from qsmc_jax.tuning.batch import Evaluation
@@ -61,13 +62,15 @@ def tune_study(
     Exit codes: 0 certified, 2 bad input, 3 not certified or interrupted.
     """
     with session(cache):
-        from qsmc_jax.report.folder import ResultFolder, to_json
+        from qsmc_jax.base.json_numbers import to_json
+        from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.provenance import provenance
         from qsmc_jax.simulation.settings import SolverSettings
         from qsmc_jax.tuning.tune import tune
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
-            study = load_study(study_file, overrides or [])
+            source = Source.read(study_file)
+            study = load_study(source, overrides or [])
             parameters = tuple(part.strip() for part in names.split(","))
             settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint=mode)
             solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
@@ -76,14 +79,14 @@ def tune_study(
             with live_line("tuning", quiet=as_json) as tell:
                 watched: Any = {} if tell is None else _Told(tell).watched
                 result = tune(study, parameters, objective, subject_to or (), **how, **claim, **solving, **watched)
-            content = {**result.summary(), "provenance": provenance(study_file, sys.argv)}
+            content = {**result.summary(), "provenance": provenance(study_file, source.content, sys.argv)}
             if folder:
                 with waiting("drawing", quiet=as_json):
                     drawn: Any = {"settings": settings, "block": block, "threads": threads}
                     _write(folder, result, content, {"against": against, "points": points, **drawn})
         again = f"\nWritten to {out}. Again: qsmc verify {study_file} -S @{out} --seed {seed + 1000}" if out else ""
         say(to_json(content) if as_json else str(result) + again)
-    raise typer.Exit(0 if result.is_certified or not certificate_runs else UNDECIDED)
+    raise typer.Exit(HELD if result.is_certified or not certificate_runs else UNDECIDED)
 
 
 class _Told:

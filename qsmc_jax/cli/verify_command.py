@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.exit_codes import HELD, UNDECIDED, code_of
 from qsmc_jax.cli.interrupts import finishing
 from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Method, Overrides, Rtol, Seed, StudyFile, Threads
 from qsmc_jax.cli.recipes import recipe_of
-from qsmc_jax.cli.session import UNDECIDED, session
+from qsmc_jax.cli.session import session
 
 if TYPE_CHECKING:
     from qsmc_jax.campaign.folder import RunFolder
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from qsmc_jax.verification.result import Verification
     from qsmc_jax.verification.stopping import AbstractRule
 
-EXIT_CODES = {"HELD": 0, "VIOLATED": 1}
 Scheduler = Annotated[str | None, typer.Option(metavar="tcp://...", help="Dask scheduler whose workers solve.")]
 Workers = Annotated[int | None, typer.Option(help="Dask workers to start on this machine.")]
 
@@ -64,8 +65,8 @@ def verify_study(
         rule = _rule(until_below, until_width, sprt)
         recipe = recipe_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
         if out is None and (fresh or prepare or scheduler or workers):
-            raise ValueError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
-        origin = provenance(study_file, sys.argv)
+            raise InputError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
+        origin = provenance(study_file, recipe.source, sys.argv)
         fixed = [word for override in overrides or [] for word in ("-S", override)]
         if out is None:
             again = ["qsmc", "simulate", str(study_file), "--seed", str(seed), *fixed, "--index"]
@@ -78,12 +79,12 @@ def verify_study(
             if prepare:
                 folder.ask_for(runs, rule is not None)
                 say(f"Prepared {folder.path} for {runs} runs. Now: qsmc worker {folder.path} --shard 0/4, 1/4, ...")
-                raise typer.Exit(0)
+                raise typer.Exit(HELD)
             with _engine(scheduler, workers) as engine:
                 campaign = _Campaign(folder, recipe, origin, runs, confidence, worst, rule, engine)
                 result = campaign.run(as_json)
             _tell(result, study_file, again, folder.path, origin, as_json)
-    raise typer.Exit(EXIT_CODES.get(result.verdict.name, UNDECIDED))
+    raise typer.Exit(code_of(result.verdict.name))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +141,7 @@ def _rule(below: float | None, width: float | None, sprt: str | None) -> "Abstra
 
     given = [each for each in (below, width, sprt) if each is not None]
     if len(given) > 1:
-        raise ValueError("Only one of `--until-below`, `--until-width` and `--sprt` can decide when to stop.")
+        raise InputError("Only one of `--until-below`, `--until-width` and `--sprt` can decide when to stop.")
     if below is not None:
         return UntilBelow(below)
     if width is not None:
@@ -150,7 +151,7 @@ def _rule(below: float | None, width: float | None, sprt: str | None) -> "Abstra
     try:
         probability, alternative = map(float, sprt.split(","))
     except ValueError:
-        raise ValueError(f"Argument `--sprt` must be P0,P1 such as 2e-3,1e-3, but is `{sprt}`.") from None
+        raise InputError(f"Argument `--sprt` must be P0,P1 such as 2e-3,1e-3, but is `{sprt}`.") from None
     return SequentialTest(probability, alternative)
 
 
@@ -172,21 +173,21 @@ def _engine(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     try:
         import distributed
     except ImportError:
-        raise ValueError(
+        raise InputError(
             "Arguments `--scheduler` and `--workers` need Dask: pip install 'qsmc_jax[cluster]'."
         ) from None
     from qsmc_jax.campaign.engines import Dask
 
     if scheduler is not None and workers is not None:
-        raise ValueError("Only one of `--scheduler` and `--workers` can be given.")
+        raise InputError("Only one of `--scheduler` and `--workers` can be given.")
     if workers is not None and workers < 1:
-        raise ValueError(f"Argument `--workers` must be at least 1, but is {workers}.")
+        raise InputError(f"Argument `--workers` must be at least 1, but is {workers}.")
     where = {"address": scheduler} if scheduler else {"n_workers": workers, "dashboard_address": None}
     try:
         client = distributed.Client(**where, timeout="30s")
     except OSError as error:
         message = f"Argument `--scheduler` must be that of a running cluster, but is {scheduler}: {error}."
-        raise ValueError(message) from None
+        raise InputError(message) from None
     with client:
         yield Dask(client)
 
@@ -194,8 +195,8 @@ def _engine(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 def _tell(
     result: "Verification", study_file: Path, again: list[str], out: Path | None, origin: dict[str, Any], as_json: bool
 ) -> None:
+    from qsmc_jax.base.json_numbers import to_json
     from qsmc_jax.campaign.commands import solver_options, verify_command
-    from qsmc_jax.report.folder import to_json
 
     if as_json:
         say(to_json({**result.summary(), "provenance": origin}))

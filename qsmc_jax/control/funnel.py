@@ -90,7 +90,7 @@ class Funnel(AbstractModule):
             bandwidth: Bandwidth of the quasi-sliding mode, in units of the sliding variable.
 
         Raises:
-            ValueError: If it does not lie strictly between `rho_inf` and `rho0`.
+            InputError: If it does not lie strictly between `rho_inf` and `rho0`.
         """
         if not is_traced(bandwidth, self):
             require(

@@ -27,7 +27,7 @@ class SlidingSurface(AbstractModule):
             1.
 
     Raises:
-        ValueError: If p is not Hurwitz; the message names the root. A traced `c` is not checked: see `is_hurwitz`.
+        InputError: If p is not Hurwitz; the message names the root. A traced `c` is not checked: see `is_hurwitz`.
 
     Examples:
         Both roots at -2, $(s + 2)^2 = s^2 + 4 s + 4$:
@@ -133,7 +133,7 @@ class SlidingSurface(AbstractModule):
             One row per time, one column per derivative i = 0 ... n - 1.
 
         Raises:
-            ValueError: If `e0` lies outside the funnel or a time is negative.
+            InputError: If `e0` lies outside the funnel or a time is negative.
         """
         times, errors = np.asarray(ts, float), np.asarray(e0, float)
         earliest = float(times.min(initial=0.0))

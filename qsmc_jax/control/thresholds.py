@@ -81,7 +81,7 @@ def critical_period(gain: RealScalarLike, residual: RealScalarLike, rho: RealSca
         c: Coefficients of the surface, lowest derivative first; empty for n = 1.
 
     Raises:
-        ValueError: An argument is out of range, or the surface is not Hurwitz.
+        InputError: An argument is out of range, or the surface is not Hurwitz.
 
     Examples:
         >>> from qsmc_jax import thresholds

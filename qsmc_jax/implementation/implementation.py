@@ -135,7 +135,7 @@ class Implementation(AbstractModule):
         queue: Samples under way from measurement to input at most; a longer total delay leaves the run UNDECIDED.
 
     Raises:
-        ValueError: A number is out of range, or a part is of the wrong kind.
+        InputError: A number is out of range, or a part is of the wrong kind.
 
     Examples:
         >>> import qsmc_jax as qj

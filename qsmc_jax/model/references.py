@@ -149,7 +149,7 @@ class Smooth(AbstractReference):
         fn: The function t -> x_des(t) of a scalar, written with `jax.numpy`, in units of the output.
 
     Raises:
-        ValueError: If `fn` can't be traced, is not smooth, has no forward derivative, does not return one number,
+        InputError: If `fn` can't be traced, is not smooth, has no forward derivative, does not return one number,
             closes over a traced number, or isn't finite with a finite derivative at t = 0.
 
     Examples:

@@ -24,6 +24,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from qsmc_jax.base.checks import is_traced, require, show
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.model.crossings import UNDERSTOOD, in_batches, jumps, switches, with_decisions
@@ -64,7 +65,7 @@ def _traced(fn: Callable[..., Any]) -> ClosedJaxpr:
         with traceable("Argument `fn` of `references.Smooth`", "the time"):
             return jax.make_jaxpr(fn)(jnp.zeros(()))
     except TypeError as error:
-        raise ValueError(
+        raise InputError(
             f"Argument `fn` of `references.Smooth` must be a function of time, but calling it says: {error}."
         ) from error
 

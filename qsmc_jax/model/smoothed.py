@@ -29,7 +29,7 @@ def sign(v: RealScalarLike, width: RealScalarLike) -> Float[Array, ""]:
         width: Width w of the turn, positive, in units of `v`.
 
     Raises:
-        ValueError: The width is not positive.
+        InputError: The width is not positive.
 
     Examples:
         Coulomb friction of 2 m/s^2, rounded over 1e-4 m/s:
@@ -51,7 +51,7 @@ def step(v: RealScalarLike, width: RealScalarLike) -> Float[Array, ""]:
         width: Width w of the rise, positive, in units of `v`.
 
     Raises:
-        ValueError: The width is not positive.
+        InputError: The width is not positive.
 
     Examples:
         A gain of 2 that falls to 1 above 0.5 rad:
@@ -75,7 +75,7 @@ def dead_zone(v: RealScalarLike, half_gap: RealScalarLike, width: RealScalarLike
         width: Width w of the edges, positive, in units of `v`.
 
     Raises:
-        ValueError: The width is not positive, or the gap is negative.
+        InputError: The width is not positive, or the gap is negative.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -110,7 +110,7 @@ def stribeck(
         width: Width w over which the sign turns, positive, in units of `v`, and well below $v_s$.
 
     Raises:
-        ValueError: A width or velocity is not positive, or a coefficient is negative.
+        InputError: A width or velocity is not positive, or a coefficient is negative.
 
     Examples:
         >>> import qsmc_jax as qj

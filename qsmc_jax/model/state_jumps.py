@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qsmc_jax.base.checks import is_traced, show
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.traceable import once_per_structure, trace
 from qsmc_jax.model.crossings import in_batches, jumps, switches, with_decisions
@@ -57,7 +58,7 @@ def require_continuous(plant: Any, method: str) -> None:
         return
     t, x, before, after = found
     name, state = f"`{method}` of `{type(plant).__name__}`", ", ".join(map(show, x))
-    raise ValueError(
+    raise InputError(
         f"{name} must be continuous in the state, but jumps from {show(before)} to {show(after)} at t = {show(t)}, "
         f"x = ({state}). A loop may stick on such a jump, where no solver goes on. Round it over a width that does "
         "not matter to you: `qj.smoothed.sign(v, width)` for `jnp.sign(v)`, `qj.smoothed.step(v, width)` for "

@@ -8,12 +8,12 @@ from typing import Any
 
 import jinja2
 
+from qsmc_jax.base.json_numbers import to_json
 from qsmc_jax.base.plotting import as_png
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.commands import verify_command
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.report.drivers import Drivers
-from qsmc_jax.report.folder import to_json
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.verification.result import Verification
@@ -44,7 +44,7 @@ def write_page(folder: RunFolder) -> None:
     """Writes `report.html` from what is in the folder; nothing is solved and no study is run.
 
     Raises:
-        ValueError: There is no summary yet.
+        InputError: There is no summary yet.
     """
     summary = folder.read_json("summary.json")
     drivers = Drivers.of(folder.tables(0, int(summary["runs"])))

@@ -1,6 +1,5 @@
 """A result folder that appears whole or not at all."""
 
-import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
@@ -12,6 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.errors import InputError
+from qsmc_jax.base.json_numbers import to_json
 from qsmc_jax.base.plotting import as_png
 
 
@@ -25,7 +26,7 @@ class ResultFolder:
         """Makes the temporary folder.
 
         Raises:
-            ValueError: The folder exists already, or can't be made.
+            InputError: The folder exists already, or can't be made.
         """
         self.path = path
         advice = "Choose another folder, or move this one away."
@@ -34,7 +35,7 @@ class ResultFolder:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         except OSError as error:
-            raise ValueError(
+            raise InputError(
                 f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error}."
             ) from None
 
@@ -62,19 +63,3 @@ class ResultFolder:
         """Gives the folder its name."""
         self._temporary.chmod(0o755)
         self._temporary.rename(self.path)
-
-
-def to_json(content: Mapping[str, Any]) -> str:
-    """The content as one JSON document."""
-    return json.dumps(_plain(content), indent=2, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    """Numbers that JSON does not know as texts, containers followed."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
-        return str(value)
-    return value

@@ -12,16 +12,17 @@ from typing import Any
 _PACKAGES = ("qsmc_jax", "jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy")
 
 
-def provenance(study_file: Path, command: list[str]) -> dict[str, Any]:
+def provenance(study_file: Path, source: bytes, command: list[str]) -> dict[str, Any]:
     """Study file and its hash, command, time, versions, machine and the state of its repository, as plain values.
 
     Args:
         study_file: The study that was run.
+        source: Its bytes.
         command: The command line.
     """
     return {
         "study": study_file.name,
-        "study_sha256": hashlib.sha256(study_file.read_bytes()).hexdigest(),
+        "study_sha256": hashlib.sha256(source).hexdigest(),
         "command": command,
         "time_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),

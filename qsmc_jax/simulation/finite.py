@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import is_traced, show
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
@@ -36,7 +37,7 @@ def require_finite_functions(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> N
         if np.any(is_bad):
             at, value = ts[is_bad][0], values[is_bad][0]
             where = f" and x = {show(x0)}" if name.startswith(("`drift`", "`gain`")) else ""
-            raise ValueError(
+            raise InputError(
                 f"{name} must be finite, but is {show(value)} at t = {show(at)} s{where}. Guard what it divides by, "
                 "takes the root or the logarithm of: `jnp.where(is_fine, x, 1.0)` inside the function."
             )

@@ -55,7 +55,7 @@ class SolverSettings(AbstractModule):
             by ones that XLA vectorises; they differ in the last place.
 
     Raises:
-        ValueError: A tolerance is not positive, rtol is not below 1, or a name is unknown.
+        InputError: A tolerance is not positive, rtol is not below 1, or a name is unknown.
 
     Examples:
         >>> import qsmc_jax as qj

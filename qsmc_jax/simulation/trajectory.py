@@ -201,7 +201,7 @@ def simulate(
         The trajectory. A loop that leaves its funnel, or a solve that fails, raises nothing: see `outcome`.
 
     Raises:
-        ValueError: An argument has the wrong shape or value.
+        InputError: An argument has the wrong shape or value.
 
     Examples:
         >>> import qsmc_jax as qj

@@ -54,7 +54,7 @@ def plot_phase_plane(run: "Trajectory", ax: Any = None) -> Any:
         The axes.
 
     Raises:
-        ValueError: The plant is not of order 2.
+        InputError: The plant is not of order 2.
     """
     order = run.loop.order
     require(order == 2, f"The phase plane needs a plant of order 2, but this one has order {order}. Use `plot()`.")

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import is_traced, nearest, require, require_finite, require_positive, require_shape, show
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
@@ -274,12 +275,12 @@ def check_values(specs: Sequence[DrawSpec], values: Mapping[str, Any]) -> dict[s
         The same as NumPy float64 arrays; tracers pass through.
 
     Raises:
-        ValueError: A name does not exist, or a value is not finite, has the wrong shape, or lies outside the bounds.
+        InputError: A name does not exist, or a value is not finite, has the wrong shape, or lies outside the bounds.
     """
     by_name = {spec.name: spec for spec in specs}
     for name in values:
         if name not in by_name:
-            raise ValueError(_unknown_name(name, list(by_name)))
+            raise InputError(_unknown_name(name, list(by_name)))
     return {name: _checked_value(by_name[name], value) for name, value in values.items()}
 
 
@@ -288,7 +289,7 @@ def _checked_value(spec: DrawSpec, value: Any) -> Any:
     try:
         array = as_float64(value)
     except (TypeError, ValueError):
-        raise ValueError(f"Argument `{spec.name}` must be a number or an array, but is {value!r}.") from None
+        raise InputError(f"Argument `{spec.name}` must be a number or an array, but is {value!r}.") from None
     require_shape(spec.name, array, spec.shape, "as drawn in the scenario")
     if is_traced(array):
         return array

@@ -51,7 +51,7 @@ def monte_carlo(
         The table, on the host. For numbers of runs that do not fit in memory use `verify`, or `stream`.
 
     Raises:
-        ValueError: An argument is out of range.
+        InputError: An argument is out of range.
 
     Examples:
         >>> import qsmc_jax as qj

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.checks import nearest
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.simulation.outcome import Verdict
 
@@ -46,7 +47,7 @@ class Runs:
     def __getitem__(self, column: str) -> np.ndarray:
         if column not in self.columns:
             listed = ", ".join(self.columns)
-            raise ValueError(f"There is no column `{column}`.{nearest(column, self.columns)} There are: {listed}.")
+            raise InputError(f"There is no column `{column}`.{nearest(column, self.columns)} There are: {listed}.")
         return self.columns[column]
 
     def __len__(self) -> int:

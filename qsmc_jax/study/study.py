@@ -29,7 +29,7 @@ class Scenario(AbstractModule):
         t1: The horizon [s], positive.
 
     Raises:
-        ValueError: `x0` does not fit the plant, or a number is not finite, or `t1` is not positive.
+        InputError: `x0` does not fit the plant, or a number is not finite, or `t1` is not positive.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -61,7 +61,7 @@ class Study:
         nominal: The scenario with every distribution at its median.
 
     Raises:
-        ValueError: The scenario is not one, a name or value is wrong, or the nominal loop breaks C2.
+        InputError: The scenario is not one, a name or value is wrong, or the nominal loop breaks C2.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -112,7 +112,7 @@ class Study:
             **values: A number for each name to be fixed, or an array of the name's shape.
 
         Raises:
-            ValueError: A name does not exist (the nearest is suggested), or a value lies outside its bounds.
+            InputError: A name does not exist (the nearest is suggested), or a value lies outside its bounds.
         """
         return Study(self.scenario, self.bandwidth, {**self.values, **values})
 

@@ -59,7 +59,7 @@ def box_of(study: Study, names: tuple[str, ...]) -> Box:
     """The bounds of parameters of a study.
 
     Raises:
-        ValueError: A name does not exist, is drawn rather than a parameter, is no single number, or comes twice.
+        InputError: A name does not exist, is drawn rather than a parameter, is no single number, or comes twice.
     """
     require_study(study)
     require(len(names) > 0, "Argument `parameters` must name at least one parameter of the study.")

@@ -129,7 +129,7 @@ def landscape(
         The landscape; `plot` it.
 
     Raises:
-        ValueError: An argument is out of range.
+        InputError: An argument is out of range.
 
     Examples:
         >>> import dataclasses

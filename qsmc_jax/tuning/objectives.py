@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.tuning.rows import BEYOND, LOSS, mean_loss
 from qsmc_jax.tuning.terms import METRICS as METRICS
 from qsmc_jax.tuning.terms import Term
@@ -296,7 +297,7 @@ def parse_objective(text: "str | Objective") -> Objective:
         text: The text; an objective is given back as it is.
 
     Raises:
-        ValueError: The text is not of that form.
+        InputError: The text is not of that form.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -313,7 +314,7 @@ def parse_constraint(text: "str | Constraint") -> Constraint:
         text: The text; a constraint is given back as it is.
 
     Raises:
-        ValueError: The text is not of that form.
+        InputError: The text is not of that form.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -334,12 +335,12 @@ def _parsed(text: "str | _Kind", kind: type[_Kind], message: str) -> _Kind:
     try:
         made = _read(ast.parse(str(text).strip(), mode="eval").body)
     except (SyntaxError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-        raise ValueError(
+        raise InputError(
             f"Argument `{argument}` must be made of mean(m), cvar(m, level), worst(m) and least(m), such as "
             f"cvar(peak_error[0], 0.9) + 0.01 * mean(energy_u) or worst(peak_u) <= 20, but is `{text}`."
         ) from None
     if not isinstance(made, kind):
-        raise ValueError(message)
+        raise InputError(message)
     return made
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import nearest, require
+from qsmc_jax.base.errors import InputError
 
 Statistic: TypeAlias = Literal["mean", "cvar", "worst", "least"]
 
@@ -54,7 +55,7 @@ class Term:
         if not is_known:
             known = f"peak_error[i] or one of {', '.join(METRICS)}"
             hint = nearest(self.metric, METRICS)
-            raise ValueError(f"Argument `metric` must be {known}, but is `{self.metric}`.{hint}")
+            raise InputError(f"Argument `metric` must be {known}, but is `{self.metric}`.{hint}")
         require(bool(0.0 <= self.level < 1.0), f"Argument `level` must lie in [0, 1), but is {self.level}.")
         require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
 

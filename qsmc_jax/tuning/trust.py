@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.control.controllers import Sign, SuperTwisting
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import Batch, Evaluation
@@ -17,7 +18,7 @@ def refuse_jumps(study: Study) -> None:
     """Raises if the loop's derivative by its gains is zero almost everywhere, or misses what its jumps do.
 
     Raises:
-        ValueError: The law switches, or a signal is rounded.
+        InputError: The law switches, or a signal is rounded.
     """
     loop = study.nominal.loop
     law = type(loop.control).__name__
@@ -41,7 +42,7 @@ def check_start(batch: Batch, v: Float[np.ndarray, " names"]) -> Evaluation:
     Where runs are lost the objective is not known, and nothing is compared: a search has to leave such gains first.
 
     Raises:
-        ValueError: The objective is known in no run, though none is lost, or gradient and difference disagree.
+        InputError: The objective is known in no run, though none is lost, or gradient and difference disagree.
     """
     made, _, slopes = batch.differentiate(v, 0.0, -1)
     require(
@@ -66,7 +67,7 @@ def check_start(batch: Batch, v: Float[np.ndarray, " names"]) -> Evaluation:
         found.append(along)
         if abs(along - slope) <= _APART * max(abs(along), abs(slope)) + rounding:
             return made
-    raise ValueError(
+    raise InputError(
         f"The gradient of this study can't be trusted: along itself it is {size:.4g}, but central differences give "
         f"{found[0]:.4g} and {found[1]:.4g}. A plant, law or disturbance that jumps with the state has a derivative "
         "that misses the jump: smooth it, or search without gradients."

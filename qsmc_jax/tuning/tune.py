@@ -92,7 +92,7 @@ def tune(
         The gains, the history and the certificate; `print` it.
 
     Raises:
-        ValueError: An argument is out of range, the gradient can't be trusted, the objective is not known at the
+        InputError: An argument is out of range, the gradient can't be trusted, the objective is not known at the
             start, or no point that keeps the constraints was found (the message says which fails, and by how much).
 
     Examples:

@@ -36,7 +36,7 @@ def confidence_sequence(violated: int, undecided: int, total: int, confidence: f
         Lower and upper end.
 
     Raises:
-        ValueError: A count is negative, or there are more than `total`, or the confidence is out of range.
+        InputError: A count is negative, or there are more than `total`, or the confidence is out of range.
 
     Examples:
         >>> import qsmc_jax as qj

@@ -215,7 +215,7 @@ def compare(
         The comparison; `print` it, or `plot` it.
 
     Raises:
-        ValueError: An argument is out of range, the studies draw different names, or a figure does not exist.
+        InputError: An argument is out of range, the studies draw different names, or a figure does not exist.
 
     Examples:
         >>> import equinox as eqx

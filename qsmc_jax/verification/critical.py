@@ -91,7 +91,7 @@ def critical_value(
         The last value shown below and the first not shown, with every test; `print` it.
 
     Raises:
-        ValueError: An argument is out of range, or the study refuses a value.
+        InputError: An argument is out of range, or the study refuses a value.
 
     Examples:
         >>> import equinox as eqx
@@ -128,7 +128,7 @@ def plan_tests(below: float, confidence: float, steps: int, budget: int | None) 
     """The tests that share the risk of a search of so many steps.
 
     Raises:
-        ValueError: A probability is not strictly between 0 and 1, or the budget is too small to show anything.
+        InputError: A probability is not strictly between 0 and 1, or the budget is too small to show anything.
     """
     require_fraction("confidence", confidence)
     require_fraction("below", below)

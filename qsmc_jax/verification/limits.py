@@ -37,7 +37,7 @@ class Threshold:
             something is).
 
     Raises:
-        ValueError: The kind is unknown, or the value is not a number.
+        InputError: The kind is unknown, or the value is not a number.
 
     Examples:
         >>> import qsmc_jax as qj

@@ -169,7 +169,7 @@ class RobustnessMap:
             The axes, (1 + known medians,).
 
         Raises:
-            ValueError: No name has a scale.
+            InputError: No name has a scale.
         """
         has_scale = any(name in self.scales for name in self.names)
         require(has_scale or not dimensionless, "Argument `dimensionless` must be False for a map without `scales`.")
@@ -221,7 +221,7 @@ def robustness_map(
         The map; `print` it, or `plot` it.
 
     Raises:
-        ValueError: An argument is out of range, or the study refuses a value; before anything is solved.
+        InputError: An argument is out of range, or the study refuses a value; before anything is solved.
 
     Examples:
         >>> import equinox as eqx

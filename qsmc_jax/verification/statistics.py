@@ -64,7 +64,7 @@ def runs_needed(probability: float, confidence: float, violations: Count = 0) ->
         The number of runs.
 
     Raises:
-        ValueError: An argument is out of range, or more than 2**53 runs are needed.
+        InputError: An argument is out of range, or more than 2**53 runs are needed.
 
     Examples:
         >>> import qsmc_jax as qj

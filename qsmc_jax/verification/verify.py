@@ -63,7 +63,7 @@ def verify(
         The verification; `print` it.
 
     Raises:
-        ValueError: An argument is out of range, or the sampling admits no exact interval.
+        InputError: An argument is out of range, or the sampling admits no exact interval.
 
     Examples:
         >>> import qsmc_jax as qj

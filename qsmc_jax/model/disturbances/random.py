@@ -32,7 +32,7 @@ def random_sine(draw: Draw, name: str, bound: RealScalarLike, frequencies: tuple
         A `Sine` whose bound is its amplitude, at most `bound`.
 
     Raises:
-        ValueError: If the bound is not positive, or the frequencies are not positive and increasing.
+        InputError: If the bound is not positive, or the frequencies are not positive and increasing.
 
     Examples:
         >>> import dataclasses
@@ -70,7 +70,7 @@ def random_sines(
         A `SumOfSines` with the given bound.
 
     Raises:
-        ValueError: If the bound is not positive, there are no terms, or the frequencies are not positive and
+        InputError: If the bound is not positive, there are no terms, or the frequencies are not positive and
             increasing.
 
     Examples:
@@ -114,7 +114,7 @@ def random_telegraph(
         A `Telegraph` whose bound is its largest level, at most `bound`.
 
     Raises:
-        ValueError: If the bound, the rate or the horizon is not positive, or rate or horizon is traced.
+        InputError: If the bound, the rate or the horizon is not positive, or rate or horizon is traced.
 
     Examples:
         >>> import dataclasses
@@ -157,7 +157,7 @@ def random_steps(
         A `SmoothSteps` whose bound is its largest level, at most `bound`.
 
     Raises:
-        ValueError: If the bound, the horizon or the rise time is not positive, or there are no steps.
+        InputError: If the bound, the horizon or the rise time is not positive, or there are no steps.
 
     Examples:
         >>> import dataclasses
@@ -205,7 +205,7 @@ def random_noise(
         A `BandLimitedNoise` with the given bound.
 
     Raises:
-        ValueError: If the bound, the cutoff or the rms is not positive, or there are no terms.
+        InputError: If the bound, the cutoff or the rms is not positive, or there are no terms.
 
     Examples:
         >>> import dataclasses
