@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from qsmc_jax import campaign as campaign
     from qsmc_jax import paper as paper
+    from qsmc_jax.base.errors import InputError as InputError
     from qsmc_jax.control import controllers as controllers
     from qsmc_jax.control import thresholds as thresholds
     from qsmc_jax.control.funnel import Funnel as Funnel
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
 # Names are loaded on first use, so that `qsmc --help` need not wait for JAX. A test holds this table against the
 # imports above.
 _HOMES = {
+    "InputError": "qsmc_jax.base.errors",
     "Funnel": "qsmc_jax.control.funnel",
     "QuasiSlidingControl": "qsmc_jax.control.law",
     "SlidingSurface": "qsmc_jax.control.surface",
@@ -126,6 +128,8 @@ _NAMESPACES = {
     "thresholds": "qsmc_jax.control.thresholds",
 }
 
+__all__ = sorted(["__version__", *_HOMES, *_NAMESPACES])  # pyright: ignore[reportUnsupportedDunderAll]
+
 
 def __getattr__(name: str) -> Any:
     if name in _NAMESPACES:
@@ -133,10 +137,12 @@ def __getattr__(name: str) -> Any:
     elif name in _HOMES:
         value = getattr(importlib.import_module(_HOMES[name]), name)
     else:
-        raise AttributeError(f"module `qsmc_jax` has no attribute `{name}`")
+        from qsmc_jax.base.checks import nearest
+
+        raise AttributeError(f"Module `qsmc_jax` has no attribute `{name}`.{nearest(name, __all__)}")
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, *_NAMESPACES})
+    return sorted({*globals(), *__all__})

@@ -1,5 +1,6 @@
 """The base class of everything that holds parameters, and the one way to declare a number field."""
 
+import dataclasses
 import functools as ft
 from types import UnionType
 from typing import TYPE_CHECKING, Any, ClassVar, Union, get_args, get_origin, get_type_hints
@@ -38,6 +39,11 @@ class AbstractModule(eqx.Module):
     def __check_init__(self):
         require_fields(self)
 
+    def __repr__(self) -> str:
+        fields = dataclasses.fields(self)  # pyright: ignore[reportArgumentType]  # every `eqx.Module` is a dataclass
+        shown = (f"{field.name}={_shown(getattr(self, field.name, None))}" for field in fields if field.repr)
+        return f"{type(self).__name__}({', '.join(shown)})"
+
 
 def require_fields(module: AbstractModule) -> None:
     """Raises unless every field has the shape or is of the class of modules that it is annotated with.
@@ -54,6 +60,21 @@ def require_fields(module: AbstractModule) -> None:
             require(fits, f"Argument `{name}` of `{owner}` must be {_RANKS[rank]}, but has shape {np.shape(value)}.")
         if kind is not None and not (value is None and type(None) in get_args(hint)):
             require_kind(f"{name}` of `{owner}", value, kind, kind.remedy)
+
+
+def _shown(value: Any) -> str:
+    """A field in a few characters: numbers as they are, longer arrays by their shape."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_shown, value))}{',' if len(value) == 1 else ''})"
+    if isinstance(value, AbstractModule):
+        return repr(value)
+    if isinstance(value, Tracer) or not eqx.is_array(value):
+        return eqx.tree_pformat(value)
+    if value.ndim == 0:
+        return f"{value.item():.8g}" if value.dtype.kind == "f" else str(value.item())
+    if value.size > _LONGEST_SHOWN:
+        return f"{value.dtype}[{','.join(map(str, value.shape))}]"
+    return np.array2string(np.asarray(value), precision=8, separator=", ", floatmode="maxprec")
 
 
 def _is_ours(kind: type) -> bool:
@@ -95,6 +116,8 @@ def _dimensions(hint: Any) -> str | None:
     return None
 
 
+# Numbers of an array that are shown.
+_LONGEST_SHOWN = 8
 _RANKS = {0: "a single number", 1: "a one-dimensional list of numbers", 2: "a matrix"}
 
 

@@ -13,6 +13,7 @@ from qsmc_jax.base.gudermann import ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.consistency import require_consistent
@@ -139,6 +140,8 @@ class Trajectory(AbstractModule):
 
     def _repr_html_(self) -> str:
         return as_html(str(self), self.plot_funnel)
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         f, peak = self.figures, float(self.figures.peak_ratio)

@@ -1,14 +1,15 @@
 """The table of a study: one row a run, one column a name or a figure."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import ItemsView, Iterator, KeysView, Mapping, Sequence, ValuesView
+from typing import Any, overload
 
 import numpy as np
 
 from qsmc_jax.base.checks import nearest
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.outcome import Verdict
 
 # Rows that a notebook shows.
@@ -17,9 +18,18 @@ _SHOWN = 5
 CLAIMS = ("verdict", "verdict_reaching", "verdict_tracking")
 
 
+class MissingColumnError(InputError, KeyError):
+    """A column that is not in a table."""
+
+    __str__ = Exception.__str__  # that of `KeyError` would quote the sentence
+
+
 @dataclasses.dataclass(frozen=True)
 class Runs:
     """Runs of a study as NumPy columns, a mapping from column name to array.
+
+    As in a data frame, `runs["mass"]` is a column and `runs[:100]` are rows; `len(runs)` counts rows, `runs.keys()`
+    columns.
 
     Columns: `index`; one for each drawn name (`mass`, `x0[0]`, `x0[1]`); and the `Figures` of the run, with
     `peak_error[i]` for each error derivative. Verdicts are codes of `Verdict`, outcomes of `Outcome`.
@@ -44,10 +54,19 @@ class Runs:
     columns: Mapping[str, np.ndarray]
     names: tuple[str, ...]
 
-    def __getitem__(self, column: str) -> np.ndarray:
+    @overload
+    def __getitem__(self, column: str) -> np.ndarray: ...
+
+    @overload
+    def __getitem__(self, column: slice) -> "Runs": ...
+
+    def __getitem__(self, column: str | slice) -> "np.ndarray | Runs":
+        if isinstance(column, slice):
+            return self.take(column)
         if column not in self.columns:
             listed = ", ".join(self.columns)
-            raise InputError(f"There is no column `{column}`.{nearest(column, self.columns)} There are: {listed}.")
+            message = f"There is no column `{column}`.{nearest(column, self.columns)} There are: {listed}."
+            raise MissingColumnError(message)
         return self.columns[column]
 
     def __len__(self) -> int:
@@ -55,6 +74,30 @@ class Runs:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.columns)
+
+    def __contains__(self, column: object) -> bool:
+        return column in self.columns
+
+    def keys(self) -> KeysView[str]:
+        """The names of the columns."""
+        return self.columns.keys()
+
+    def values(self) -> ValuesView[np.ndarray]:
+        """The columns."""
+        return self.columns.values()
+
+    def items(self) -> ItemsView[str, np.ndarray]:
+        """Names and columns."""
+        return self.columns.items()
+
+    def get(self, column: str, default: Any = None) -> Any:
+        """A column; `default` if there is none of that name.
+
+        Args:
+            column: Its name.
+            default: What is returned instead.
+        """
+        return self.columns.get(column, default)
 
     def take(self, rows: Any) -> "Runs":
         """The rows that a NumPy index selects.
@@ -100,6 +143,8 @@ class Runs:
             cells = (f"{row[name]:.5g}" if isinstance(row[name], float) else str(row[name]) for name in widths)
             lines.append("  ".join(cell.rjust(width) for cell, width in zip(cells, widths.values(), strict=True)))
         return as_html("\n".join([str(self), *lines, *(["..."] if len(self) > _SHOWN else [])]))
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         counts = ", ".join(f"{count} {verdict.name}" for verdict, count in self.counts().items() if count)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require, require_finite, require_kind
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import BoolScalarLike, Draw
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.simulation.settings import SolverSettings
@@ -81,6 +82,12 @@ class Study:
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     specs: tuple[DrawSpec, ...] = dataclasses.field(init=False)
     nominal: Scenario = dataclasses.field(init=False)
+
+    __repr__ = short_repr
+
+    def __str__(self) -> str:
+        fixed = f"; fixed: {', '.join(self.values)}" if self.values else ""
+        return f"{', '.join(spec.name for spec in self.specs) or 'no names'}; bandwidth {self.bandwidth:g}{fixed}"
 
     def __post_init__(self):
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")

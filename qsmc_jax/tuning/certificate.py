@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import Progress
@@ -80,6 +81,8 @@ class Certificate:
     def optimism(self) -> float:
         """The objective over fresh runs less that over the training runs: what the choice of gains flattered it by."""
         return self.objective - self.training_objective
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         rows = [

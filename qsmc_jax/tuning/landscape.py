@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind, require_list
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.study.study import Study
@@ -52,6 +53,12 @@ class Landscape:
     values: Float[np.ndarray, "objectives first second"]
     is_feasible: np.ndarray
     marked: Mapping[str, Float[np.ndarray, " objectives"]]
+
+    def __str__(self) -> str:
+        grid = " x ".join(f"{len(grid)} {name}" for name, grid in zip(self.names, self.grids, strict=True))
+        return f"{self.objectives[0]} over {grid}"
+
+    __repr__ = short_repr
 
     @property
     def is_efficient(self) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.notebook import as_html
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Evaluation
 from qsmc_jax.tuning.certificate import Certificate
@@ -149,6 +150,8 @@ class Tuning:
     @property
     def _judged(self) -> list[str]:
         return [str(self.objective), *map(str, (constraint.objective for constraint in self.constraints))]
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         rows = [f"{len(self.history)} evaluations, {self.simulations} simulations in training, seed {self.seed}"]

@@ -8,6 +8,7 @@ import numpy as np
 
 from qsmc_jax.base.checks import require, require_count, require_fraction, require_kind
 from qsmc_jax.base.notebook import as_html
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
@@ -150,6 +151,8 @@ class Comparison:
             The axes, (1 + metrics,).
         """
         return plot_comparison(self, ax)
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         width = max(12, *(len(study.name) for study in self.studies))

@@ -6,6 +6,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from qsmc_jax.base.notebook import as_html
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.critical_plots import plot_critical
 
@@ -171,6 +172,8 @@ class CriticalValue:
             The axes.
         """
         return plot_critical(self, ax)
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, each test with its own"]

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from qsmc_jax.base.notebook import as_html
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.probed import probed_functions, said_of_probed
 from qsmc_jax.simulation.settings import SolverSettings
@@ -242,6 +243,8 @@ class Verification:
             probability: What is to be shown, strictly between 0 and 1.
         """
         return runs_needed(probability, self.confidence)
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {self.study.bandwidth:g}"]

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from qsmc_jax.base.checks import require, require_count, require_finite, require_fraction
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
+from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
@@ -174,6 +175,8 @@ class RobustnessMap:
         has_scale = any(name in self.scales for name in self.names)
         require(has_scale or not dimensionless, "Argument `dimensionless` must be False for a map without `scales`.")
         return plot_map(self, self.scales if dimensionless else {}, ax)
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         cells = self.funnel.held.size
