@@ -11,6 +11,9 @@ import numpy as np
 
 from qsmc_jax.base.checks import is_traced
 
+# A context, as `in_64_bits()`: JAX's name for it is another from 0.8 on.
+in_64_bits = ft.partial(jax.enable_x64 if hasattr(jax, "enable_x64") else jax.experimental.enable_x64, True)
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -27,7 +30,7 @@ def entry_point(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
         def at_once() -> Any:
-            with jax.enable_x64(True):
+            with in_64_bits():
                 return to_numpy(function(*args, **kwargs))
 
         return _outside_traces(at_once) if is_traced(jnp.zeros(())) else at_once()
