@@ -11,8 +11,9 @@ import numpy as np
 
 from qsmc_jax.base.checks import is_traced
 
-# A context, as `in_64_bits()`: JAX's name for it is another from 0.8 on.
-in_64_bits = ft.partial(jax.enable_x64 if hasattr(jax, "enable_x64") else jax.experimental.enable_x64, True)
+# Contexts. JAX has this one where it documents it from 0.8 on.
+enable_x64: Callable[..., Any] = jax.enable_x64 if hasattr(jax, "enable_x64") else jax.experimental.enable_x64
+in_64_bits = ft.partial(enable_x64, True)
 
 P = ParamSpec("P")
 R = TypeVar("R")

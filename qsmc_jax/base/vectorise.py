@@ -47,8 +47,13 @@ def is_vectorised(program: Program) -> bool:
 
 
 def why_not_vectorised() -> str:
-    """Why functions are left as they are with this version of JAX; empty as long as none was."""
-    return _REWRITER.problem
+    """A sentence on why functions are left as they are with this version of JAX; empty as long as none was."""
+    if not _REWRITER.problem:
+        return ""
+    return (
+        f"Solves are right but slow: this version of qsmc_jax does not know the programs of JAX {jax.__version__} "
+        f"({_REWRITER.problem}), so sines and the like are left as they are. A JAX that is no newer than qsmc_jax helps."
+    )
 
 
 class _Vectorised(AbstractModule):

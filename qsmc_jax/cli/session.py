@@ -1,6 +1,7 @@
 """What every command runs in: bad input and interruptions end in one sentence and an exit code."""
 
 import contextlib
+import sys
 import warnings
 from collections.abc import Iterator
 
@@ -28,3 +29,12 @@ def session(cache: bool) -> Iterator[None]:
     except KeyboardInterrupt:
         say("qsmc: interrupted; nothing half-done was kept.", is_error=True)
         raise typer.Exit(UNDECIDED) from None
+    finally:
+        _say_if_slow()
+
+
+def _say_if_slow() -> None:
+    """Says once, after a command that solved something, that solves are slow with this version of JAX, if they are."""
+    solver = sys.modules.get("qsmc_jax.base.vectorise")
+    if solver is not None and solver.why_not_vectorised():
+        say(f"qsmc: {solver.why_not_vectorised()}", is_error=True)
