@@ -8,11 +8,13 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import experimental
 
 from qsmc_jax.base.checks import is_traced
 
 # Contexts. JAX has this one where it documents it from 0.8 on.
-enable_x64: Callable[..., Any] = jax.enable_x64 if hasattr(jax, "enable_x64") else jax.experimental.enable_x64
+_home: Any = jax if hasattr(jax, "enable_x64") else experimental
+enable_x64: Callable[..., Any] = _home.enable_x64
 in_64_bits = ft.partial(enable_x64, True)
 
 P = ParamSpec("P")

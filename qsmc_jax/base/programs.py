@@ -16,13 +16,14 @@ import numpy as np
 
 from qsmc_jax.base.precision import in_64_bits
 
+core: Any = None
+lu: Any = None
+_MISSING = ""
 try:
     from jax.extend import core
     from jax.extend import linear_util as lu
 except ImportError as missing:  # of a JAX to come: programs are then read, but not rewritten
-    core, lu, _MISSING = None, None, str(missing)
-else:
-    _MISSING = ""
+    _MISSING = str(missing)
 
 Program: TypeAlias = Any  # what `jax.make_jaxpr(fn)(...)` returns, or a program inside it
 
@@ -111,7 +112,7 @@ def parts(program: Program) -> Parts:
         constants = dict(zip(inside.constvars, getattr(program, "consts", ()), strict=True))
         equations = tuple(map(_equation, inside.eqns))
         return Parts(constants, tuple(inside.invars), equations, tuple(inside.outvars))
-    except (AttributeError, TypeError, ValueError) as error:
+    except Exception as error:  # whatever JAX's objects raise that are not what they were
         raise UnknownProgramError(f"a program of JAX {jax.__version__} can't be read: {error}") from error
 
 
@@ -278,7 +279,7 @@ class Rewriter:
         """Whether nothing that should be replaced is left in a program, wherever it may hide; no in doubt."""
         try:
             return not self._holds(program)
-        except (AttributeError, TypeError):
+        except Exception:  # as above
             return False
 
     def _or_same(self, part: Any, rewrite: Callable[[Any], Any]) -> Any:

@@ -52,7 +52,7 @@ def why_not_vectorised() -> str:
         return ""
     return (
         f"Solves are right but slow: this version of qsmc_jax does not know the programs of JAX {jax.__version__} "
-        f"({_REWRITER.problem}), so sines and the like are left as they are. A JAX that is no newer than qsmc_jax helps."
+        f"({_REWRITER.problem}), so sines and the like are left as they are. Install an older JAX."
     )
 
 
