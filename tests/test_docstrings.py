@@ -11,6 +11,7 @@ import jax
 import pytest
 
 import qsmc_jax as qj
+from qsmc_jax.base.precision import enable_x64
 
 SECTION = re.compile(r"^(Attributes|Args|Returns|Yields|Raises|Examples|Source):")
 ENTRY = re.compile(r"^ {4}(?=[*\w])([*\w]+(?:, [*\w]+)*):(?: |$)")
@@ -129,9 +130,11 @@ def examples():
 
 def run_example(name, text):
     """Runs an example as a user would, who has set nothing; returns what it printed in place of what it says."""
+    if "jax.enable_x64" in text and not hasattr(jax, "enable_x64"):
+        pytest.skip("it shows a function that this version of JAX has elsewhere")
     said = []
     test = doctest.DocTestParser().get_doctest(text, {"__name__": "__main__"}, name, None, 0)
-    with jax.enable_x64(False), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+    with enable_x64(False), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         doctest.DocTestRunner(optionflags=FLAGS).run(test, out=said.append)
     return "".join(said)
 

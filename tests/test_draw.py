@@ -8,6 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
+from qsmc_jax.base.precision import enable_x64
 from qsmc_jax.study.draw import PointDraw, _require_new_name, check_values, dimension, discover
 
 # what is drawn, SciPy's distribution, and the bounds
@@ -99,7 +100,7 @@ def test_sign_is_minus_then_plus():
 
 
 def test_numbers_are_numpy_float64_even_outside_a_64_bit_context():
-    with jax.enable_x64(False):
+    with enable_x64(False):
         value = PointDraw(np.array([0.3])).uniform("a", 0.0, 1.0)
     assert isinstance(value, np.float64)
     assert value == 0.3

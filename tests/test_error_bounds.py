@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
+from qsmc_jax.base.precision import enable_x64
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.control.funnel import Funnel
 from qsmc_jax.control.surface import SlidingSurface
@@ -119,7 +120,7 @@ def test_without_decay_no_bound_exists(c):
 
 
 def test_error_bounds_are_float64_numpy_without_the_caller_asking():
-    with jax.enable_x64(False):
+    with enable_x64(False):
         bounds = SlidingSurface([2.0]).error_bounds(0.1)
     assert isinstance(bounds, np.ndarray)
     np.testing.assert_allclose(bounds, [0.05, 0.2], rtol=1e-15)

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from qsmc_jax.base.precision import enable_x64
 from qsmc_jax.control.funnel import Funnel
 
 EXAMPLE_2 = Funnel(5.0, 3.0, 0.05)
@@ -45,7 +46,7 @@ def test_reaching_time_has_finite_gradients(bandwidth):
 
 
 def test_reaching_time_is_float64_without_the_caller_asking():
-    with jax.enable_x64(False):
+    with enable_x64(False):
         time = EXAMPLE_2.reaching_time(0.1)
     assert isinstance(time, np.ndarray)
     np.testing.assert_allclose(time, np.log(5.0 / (0.1 - 0.05)) / 3.0, rtol=1e-15)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from qsmc_jax.base.precision import enable_x64
 from qsmc_jax.model import references as qr
 
 ORDER = 6
@@ -159,7 +160,7 @@ def test_a_smooth_reference_may_be_built_inside_a_trace(transform):
 
 
 def test_a_smooth_reference_built_in_single_precision_computes_in_double():
-    with jax.enable_x64(False):
+    with enable_x64(False):
         reference = qr.Smooth(eqx.Partial(lambda a, t: jnp.sin(a * t), np.asarray(0.05)))
     assert float(reference(1.0)) == math.sin(0.05)
 

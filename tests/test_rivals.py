@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import qsmc_jax as qj
+from qsmc_jax.base.precision import enable_x64
 from qsmc_jax.control.control import Sample
 
 qc = qj.controllers
@@ -279,7 +280,7 @@ def test_the_sign_law_reaches_at_the_rate_asked_for():
 
 
 def test_the_rules_keep_64_bits_where_jax_has_32():
-    with jax.enable_x64(False):
+    with enable_x64(False):
         control = qc.BoundaryLayer.with_equal_accuracy(CONTROL, 9.0, 1.0, 0.5)
     np.testing.assert_allclose(control.width, 9.0 * 2.0 / np.pi * RHO_INF * np.arctan(2.0) / 2.0, rtol=1e-14)
 

@@ -1,6 +1,5 @@
 """Points of the unit cube: pure functions of seed and index, open, and as uniform as they claim."""
 
-import jax
 import jax.random as jr
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.stats import qmc
 
+from qsmc_jax.base.precision import enable_x64
 from qsmc_jax.study import sampling
 from qsmc_jax.study.sampling import LatinHypercube, Random, Sobol
 
@@ -98,7 +98,7 @@ def test_empty_sets_have_their_shape(design, runs, dim):
 @DESIGNS
 def test_points_are_numpy_float64_outside_a_64_bit_context(design):
     inside = design.points(5, range(20), 2)
-    with jax.enable_x64(False):
+    with enable_x64(False):
         outside = design.points(5, range(20), 2)
     assert isinstance(outside, np.ndarray)
     np.testing.assert_array_equal(inside, outside)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.programs import dtype_of, parts, programs_in
 from qsmc_jax.base.vectorise import vectorised
 
 SLOW = {"sin", "cos", "tan", "atan"}
@@ -77,17 +78,17 @@ def table(*kinds):
     return pytest.mark.parametrize("f", items.values(), ids=items.keys())
 
 
-def primitives(jaxpr):
+def primitives(program):
     """Names of the primitives with a float64 operand, at any depth."""
-    for equation in jaxpr.eqns:
-        if any(v.aval.dtype == np.float64 for v in equation.invars):
-            yield equation.primitive.name
-        for inner in jax.extend.core.jaxprs_in_params(equation.params):
+    for equation in parts(program).equations:
+        if any(dtype_of(each) == np.float64 for each in equation.inputs):
+            yield equation.name
+        for inner in programs_in(equation.params):
             yield from primitives(inner)
 
 
 def names_used(f, *args):
-    return set(primitives(jax.make_jaxpr(f)(*args).jaxpr))
+    return set(primitives(jax.make_jaxpr(f)(*args)))
 
 
 def compare(f, transform, rtol=RTOL, atol=0.0):
@@ -123,7 +124,7 @@ def test_second_derivatives_agree(f):
 
 @table(FUNCTIONS, REVERSE_ONLY, FORWARD_ONLY)
 def test_nothing_slow_is_left(f):
-    assert names_used(f, 0.3) & SLOW
+    assert names_used(f, 0.3) & SLOW or f is jnp.sinc  # which newer versions take from a polynomial
     assert not names_used(vectorised(f), 0.3) & SLOW
 
 
@@ -143,6 +144,7 @@ def test_functions_without_trigonometry_are_unchanged(f):
     np.testing.assert_array_equal(vectorised(f)(0.3), f(0.3))
 
 
+@pytest.mark.skipif(not hasattr(jax.extend.core, "check_jaxpr"), reason="this version of JAX does not check programs")
 def test_the_rewritten_program_is_well_typed():
     jax.extend.core.check_jaxpr(jax.make_jaxpr(vectorised(lambda x: scanned(x) + branched(x)))(0.3).jaxpr)
 

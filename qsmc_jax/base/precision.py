@@ -8,8 +8,14 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import experimental
 
 from qsmc_jax.base.checks import is_traced
+
+# Contexts. JAX has this one where it documents it from 0.8 on.
+_home: Any = jax if hasattr(jax, "enable_x64") else experimental
+enable_x64: Callable[..., Any] = _home.enable_x64
+in_64_bits = ft.partial(enable_x64, True)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,7 +33,7 @@ def entry_point(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
         def at_once() -> Any:
-            with jax.enable_x64(True):
+            with in_64_bits():
                 return to_numpy(function(*args, **kwargs))
 
         return _outside_traces(at_once) if is_traced(jnp.zeros(())) else at_once()

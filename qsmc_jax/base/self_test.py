@@ -15,6 +15,7 @@ import numpy as np
 import scipy.special
 
 from qsmc_jax.base.compiled import compiled
+from qsmc_jax.base.precision import in_64_bits
 
 
 class Elementary(NamedTuple):
@@ -102,7 +103,7 @@ def arguments(function: Elementary, lanes: int) -> tuple[np.ndarray, ...]:
 
 def batch(function: Elementary, lanes: int, vectorise: bool) -> np.ndarray:
     """Its values at `arguments`, as a batch computes them."""
-    with jax.enable_x64(True):
+    with in_64_bits():
         values = arguments(function, lanes)
         return np.asarray(compiled(jax.vmap(function.fn), *values, vectorise=vectorise)(*values))
 

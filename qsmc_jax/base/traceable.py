@@ -7,9 +7,10 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
-from jax.extend.core import ClosedJaxpr
 
 from qsmc_jax.base.errors import InputError
+from qsmc_jax.base.precision import in_64_bits
+from qsmc_jax.base.programs import Program
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -74,7 +75,7 @@ def traceable(what: str, values: str) -> Iterator[None]:
         ) from error
 
 
-def trace(what: str, takes: str, module: Any, call: Callable[..., Any], *arguments: Any) -> tuple[ClosedJaxpr, Any]:
+def trace(what: str, takes: str, module: Any, call: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
     """The program of what a module does, in 64 bits, and the shapes of what it returns.
 
     The arrays in the module are traced too, as they are in a solve, and come before the arguments.
@@ -96,7 +97,7 @@ def trace(what: str, takes: str, module: Any, call: Callable[..., Any], *argumen
         return call(eqx.combine(arrays, rest), *arguments)
 
     try:
-        with jax.enable_x64(True), traceable(what, f"{takes} and for its arrays"):
+        with in_64_bits(), traceable(what, f"{takes} and for its arrays"):
             return jax.make_jaxpr(program, return_shape=True)(shapes, *arguments)
     except (IndexError, TypeError) as error:
         raise InputError(f"{what} must take {takes} (and `self`), but calling it says: {error}.") from error

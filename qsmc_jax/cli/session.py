@@ -21,4 +21,14 @@ def session(cache: bool) -> Iterator[None]:
     with warnings.catch_warnings(), results_to(sys.stdout), contextlib.redirect_stdout(sys.stderr):
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, *_: say(f"qsmc: {message}", is_error=True)
-        yield
+        try:
+            yield
+        finally:
+            _say_if_slow()
+
+
+def _say_if_slow() -> None:
+    """Says once, after a command that solved something, that solves are slow with this version of JAX, if they are."""
+    solver = sys.modules.get("qsmc_jax.base.vectorise")
+    if solver is not None and solver.why_not_vectorised():
+        say(f"qsmc: {solver.why_not_vectorised()}", is_error=True)

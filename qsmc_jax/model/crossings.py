@@ -6,16 +6,17 @@ either side are compared. So a piece is found however narrow it is, as long as t
 of its edges, and what joins there is told from what jumps.
 """
 
+import functools as ft
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 from jaxtyping import Array, Bool, Float
 
-from qsmc_jax.model.kinks import CALLS, is_real
+from qsmc_jax.base.programs import Equation, branches, called, computed, evaluated
+from qsmc_jax.model.kinks import EQUALITIES, is_real
 
 # At each call, so that a function is compiled once for however many points it is asked.
 BATCH = 512
@@ -24,7 +25,6 @@ _NEAR, _LEAST_NEAR = 1e-7, 1e-10  # distance from a switch, relative and at zero
 _FLOATS = 4
 _ROUNDING = 1e-7
 _SAME = 10.0  # within this factor a step is as high from afar as from near by: no pole, and no slope
-_EQUALITIES = {"eq", "ne", "is_finite"}  # of single points
 
 # What each decides, of its result and its operands. Any other decides by its integers, if it makes some of reals.
 _DECISIONS: dict[str, Callable[..., Any]] = {
@@ -54,9 +54,8 @@ def with_decisions(fn: Callable[..., Any], point: Sequence[Any]) -> tuple[Any, F
         fn: The function; it returns an array.
         point: Its arguments.
     """
-    closed = jax.make_jaxpr(fn)(*point)
     decided: list[Array] = []
-    (value,) = _run(closed.jaxpr, closed.consts, point, decided)
+    (value,) = evaluated(jax.make_jaxpr(fn)(*point), point, ft.partial(_results, decided=decided))
     return value, jnp.concatenate([jnp.zeros(0), *decided])
 
 
@@ -120,38 +119,26 @@ def in_batches(fn: Callable[[Any], Any], points: np.ndarray) -> Any:
     return jax.tree.map(lambda *rows: np.concatenate(rows)[: len(points)], *parts)
 
 
-def _run(jaxpr: Jaxpr, consts: Sequence[Any], arguments: Sequence[Any], decided: list[Array]) -> list[Any]:
-    """The results of a program; its decisions are appended."""
-    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments], strict=True))
-    read = lambda var: var.val if isinstance(var, Literal) else known[var]  # noqa: E731 - a look-up, used twice
-    for eqn in jaxpr.eqns:
-        values = _results(eqn, [read(var) for var in eqn.invars], decided)
-        known.update(zip(eqn.outvars, values, strict=True))
-    return [read(var) for var in jaxpr.outvars]
-
-
-def _results(eqn: JaxprEqn, operands: list[Any], decided: list[Array]) -> Sequence[Any]:
-    name, params = eqn.primitive.name, eqn.params
-    if name == "cond":
+def _results(eqn: Equation, operands: list[Any], decided: list[Array]) -> Sequence[Any]:
+    """The results of an operation; its decisions are appended."""
+    inside = ft.partial(_results, decided=decided)
+    chosen, body = branches(eqn), called(eqn)
+    if chosen is not None:
         index, *given = operands
-        branches = [_run(branch.jaxpr, branch.consts, given, decided) for branch in params["branches"]]
-        return [jax.lax.select_n(index, *outs) for outs in zip(*branches, strict=True)]
-    if name in CALLS or name in ("custom_jvp_call", "custom_vjp_call"):
-        inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
-        consts, body = (inner.consts, inner.jaxpr) if isinstance(inner, ClosedJaxpr) else ((), inner)
-        return _run(body, consts, operands, decided)
-    made = eqn.primitive.bind(*operands, **eqn.primitive.get_bind_params(params))
-    outs = made if eqn.primitive.multiple_results else [made]
+        outcomes = [evaluated(branch, given, inside) for branch in chosen]
+        return [jax.lax.select_n(index, *outs) for outs in zip(*outcomes, strict=True)]
+    if body is not None:
+        return evaluated(body, operands, inside)
+    outs = computed(eqn, operands)
     decided.extend(jnp.ravel(decision).astype(float) for decision in _decisions(eqn, operands, outs))
     return outs
 
 
-def _decisions(eqn: JaxprEqn, operands: list[Any], outs: Sequence[Any]) -> list[Any]:
-    name = eqn.primitive.name
-    if name in _EQUALITIES or not any(map(is_real, eqn.invars)):
+def _decisions(eqn: Equation, operands: list[Any], outs: Sequence[Any]) -> list[Any]:
+    if eqn.name in EQUALITIES or not any(map(is_real, eqn.inputs)):
         return []
-    if name in _DECISIONS:
-        return [_DECISIONS[name](outs[0], *operands)]
-    if name in ("reduce_max", "reduce_min"):
-        return [operands[0] == jnp.expand_dims(outs[0], eqn.params["axes"])]
-    return [out for var, out in zip(eqn.outvars, outs, strict=True) if not is_real(var)]
+    if eqn.name in _DECISIONS:
+        return [_DECISIONS[eqn.name](outs[0], *operands)]
+    if eqn.name in ("reduce_max", "reduce_min"):
+        return [operands[0] == jnp.expand_dims(outs[0], eqn.param("axes"))]
+    return [out for var, out in zip(eqn.outputs, outs, strict=True) if not is_real(var)]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.experimental.jet import jet
 from jaxtyping import Array
 
+from qsmc_jax.base.programs import Program, UnknownProgramError
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.model.kinks import uses
 
@@ -29,8 +30,7 @@ def time_derivatives(fn: Callable[..., Any], t: RealScalarLike, order: int) -> t
     mode, whose cost doubles with each order.
     """
     number, t = ft.partial(scalar, fn), jnp.asarray(t, dtype=float)
-    names = {use.eqn.primitive.name for use in uses(jax.make_jaxpr(number)(t).jaxpr)}
-    if order > 1 and names <= _TAYLOR:
+    if order > 1 and _uses_only(_TAYLOR, jax.make_jaxpr(number)(t)):
         return _taylor(number, t, order)
     return tower(number, order)(t)
 
@@ -38,6 +38,13 @@ def time_derivatives(fn: Callable[..., Any], t: RealScalarLike, order: int) -> t
 def scalar(fn: Callable[..., Any], t: RealScalarLike) -> Array:
     """`fn(t)` as a float array, so that a constant function is one like any other."""
     return jnp.asarray(fn(t), dtype=float)
+
+
+def _uses_only(names: set[str], program: Program) -> bool:
+    try:
+        return {use.eqn.name for use in uses(program)} <= names
+    except UnknownProgramError:
+        return False
 
 
 def _taylor(fn: Callable[..., Any], t: Array, order: int) -> tuple[Array, ...]:

@@ -10,21 +10,33 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var, jaxprs_in_params
 from jaxtyping import Array
+
+from qsmc_jax.base.programs import (
+    CALLS,
+    OPAQUE,
+    Equation,
+    Program,
+    branches,
+    called,
+    dtype_of,
+    is_literal,
+    parts,
+    programs_in,
+    shape_of,
+)
 
 _JUMPING = {"sign", "floor", "ceil", "round", "rem", "nextafter", "lt", "le", "gt", "ge", "lt_to", "le_to"}
 _JUMPING |= {"bitcast_convert_type"}  # by which signbit and copysign read a sign
 _BENDING = {"abs", "max", "min", "clamp", "stop_gradient"}
 _RANKING = {"sort", "top_k", "argmax", "argmin", "reduce_max", "reduce_min", "cummax", "cummin"}
 _WINDOWED = {"reduce_window_max", "reduce_window_min"}
-_KINKED = _JUMPING | _BENDING | _RANKING | _WINDOWED
+_KINKED = _JUMPING | _BENDING | _RANKING | _WINDOWED | OPAQUE
 # What may jump though each of its parts is smooth where it is defined: arctan(tan x), arctan2(sin x, cos x).
 _WRAPPING = {"atan2", "tan"}
-_LEAPING = _JUMPING | _WRAPPING | {"sort", "top_k", "argmax", "argmin"}
-# Their inner program has the arguments of the call, or of the chosen branch, one for one.
-CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint"}
+_LEAPING = _JUMPING | _WRAPPING | OPAQUE | {"sort", "top_k", "argmax", "argmin"}
+# Tests of single points, which guard them.
+EQUALITIES = {"eq", "ne", "is_finite"}
 
 
 class Use(NamedTuple):
@@ -36,29 +48,29 @@ class Use(NamedTuple):
         is_looped: Whether it stands in a loop, where values can't be asked for.
     """
 
-    eqn: JaxprEqn
+    eqn: Equation
     enters: Sequence[bool]
     is_looped: bool
 
 
-def kinks(closed: ClosedJaxpr) -> list[Use]:
+def kinks(program: Program) -> list[Use]:
     """The operations of a function of time that may make kinks or jumps.
 
     Args:
-        closed: The function of one argument, traced.
+        program: The function of one argument, traced.
     """
-    return [use for use in uses(closed.jaxpr) if _is_one(use.eqn, _KINKED) and not _is_empty(use.eqn)]
+    return [use for use in uses(program) if _is_one(use.eqn, _KINKED) and not _is_empty(use.eqn)]
 
 
-def may_jump(closed: ClosedJaxpr, arguments: int) -> bool:
+def may_jump(program: Program, arguments: int) -> bool:
     """Whether a function may jump in its last arguments, by the operations in it.
 
     Args:
-        closed: The function, traced.
+        program: The function, traced.
         arguments: How many the last arguments are.
     """
-    others = len(closed.jaxpr.invars) - arguments
-    found = uses(closed.jaxpr, (False,) * others + (True,) * arguments)
+    others = len(parts(program).inputs) - arguments
+    found = uses(program, (False,) * others + (True,) * arguments)
     return any((_is_one(use.eqn, _LEAPING) or _divides(use)) and not _is_empty(use.eqn) for use in found)
 
 
@@ -67,45 +79,51 @@ def as_times(times: Any) -> Array:
     return jnp.atleast_1d(jnp.asarray(times, dtype=float))
 
 
-def uses(jaxpr: Jaxpr, depends: Sequence[bool] = (True,), is_looped: bool = False) -> Iterator[Use]:
+def uses(program: Program, depends: Sequence[bool] = (True,), is_looped: bool = False) -> Iterator[Use]:
     """The equations that a dependent number enters, inner ones included; `depends` says which arguments are such."""
-    seen = {var for var, is_such in zip(jaxpr.invars, depends, strict=True) if is_such}
-    for eqn in jaxpr.eqns:
-        enters = [isinstance(var, Var) and var in seen for var in eqn.invars]
+    made_of = parts(program)
+    seen = {var for var, is_such in zip(made_of.inputs, depends, strict=True) if is_such}
+    for eqn in made_of.equations:
+        enters = [not is_literal(var) and var in seen for var in eqn.inputs]
         if any(enters):
-            seen.update(eqn.outvars)
+            seen.update(eqn.outputs)
             use = Use(eqn, enters, is_looped)
             yield use
             yield from _inner_uses(use)
 
 
 def _inner_uses(use: Use) -> Iterator[Use]:
-    name = use.eqn.primitive.name
-    if name == "custom_jvp_call":
+    if use.eqn.name == "custom_jvp_call":
         return
-    given = use.enters[1:] if name == "cond" else use.enters
-    for inner in jaxprs_in_params(use.eqn.params):
-        if name in CALLS or name == "cond":
-            yield from uses(inner, given, use.is_looped)
-        else:
-            yield from uses(inner, list(map(is_real, inner.invars)), True)
+    chosen, body = branches(use.eqn), called(use.eqn) if use.eqn.name in CALLS else None
+    if chosen is not None or body is not None:
+        for inner in chosen or (body,):
+            yield from uses(inner, use.enters[1:] if chosen else use.enters, use.is_looped)
+    else:
+        for inner in programs_in(use.eqn.params):
+            yield from uses(inner, list(map(is_real, parts(inner).inputs)), True)
 
 
-def _is_one(eqn: JaxprEqn, names: set[str]) -> bool:
-    to_integer = eqn.primitive.name == "convert_element_type" and not is_real(eqn.outvars[0])
-    return eqn.primitive.name in names or (to_integer and is_real(eqn.invars[0]))
+def _is_one(eqn: Equation, names: set[str]) -> bool:
+    return eqn.name in names or _decides(eqn)
+
+
+def _decides(eqn: Equation) -> bool:
+    """Whether it makes something else of real numbers, whose steps are jumps."""
+    is_made_of_others = eqn.name in EQUALITIES or any(True for _ in programs_in(eqn.params))
+    return not is_made_of_others and any(map(is_real, eqn.inputs)) and not all(map(is_real, eqn.outputs))
 
 
 def _divides(use: Use) -> bool:
     """Whether it divides by a dependent number, as in `x / abs(x)`."""
-    return use.eqn.primitive.name == "div" and use.enters[1]
+    return use.eqn.name == "div" and use.enters[1]
 
 
-def _is_empty(eqn: JaxprEqn) -> bool:
+def _is_empty(eqn: Equation) -> bool:
     """Whether it makes no number at all, as a comparison with no switching times does."""
-    return all(np.size(var.aval) == 0 for var in eqn.outvars)
+    return all(0 in shape_of(var) for var in eqn.outputs)
 
 
 def is_real(value: Any) -> bool:
     """Whether a variable or literal of a program is a real number."""
-    return jnp.issubdtype(value.aval.dtype, jnp.inexact)
+    return jnp.issubdtype(dtype_of(value), jnp.inexact)

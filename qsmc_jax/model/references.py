@@ -4,13 +4,13 @@ import abc
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_finite, require_shape
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
+from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.model.derivatives import time_derivatives
 from qsmc_jax.model.smooth import require_smooth
@@ -168,7 +168,7 @@ class Smooth(AbstractReference):
     fn: Callable[..., Any]
 
     def __check_init__(self):
-        with jax.enable_x64(True):
+        with in_64_bits():
             require_smooth(self.fn)
 
     def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:

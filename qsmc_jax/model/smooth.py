@@ -21,11 +21,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr
 
 from qsmc_jax.base.checks import is_traced, require, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.programs import Program, UnknownProgramError, parts, shape_of
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.model.crossings import UNDERSTOOD, in_batches, jumps, switches, with_decisions
 from qsmc_jax.model.derivatives import scalar, tower
@@ -42,14 +42,24 @@ _AGREEMENT = 1e-4
 
 def require_smooth(fn: Callable[..., Any]) -> None:
     """Raises unless `fn` is a smooth function of time, by the rule of this file, that returns one number."""
+    try:
+        _require_smooth(fn)
+    except UnknownProgramError as error:
+        raise ValueError(
+            "Argument `fn` of `references.Smooth` must be smooth, but with this version of JAX nobody can tell: "
+            f"{error}. Install an older one, or subclass `AbstractReference` with derivatives of your own."
+        ) from error
+
+
+def _require_smooth(fn: Callable[..., Any]) -> None:
     number = ft.partial(scalar, fn)
-    closed = _traced(number)
-    shape = closed.out_avals[0].shape
+    program = _traced(number)
+    shape = shape_of(parts(program).outputs[0])
     require(shape == (), f"Argument `fn` of `references.Smooth` must return a single number, but has shape {shape}.")
-    _require_no_hidden_tracer(fn, closed)
-    _require_forward_derivative(closed)
-    found = kinks(closed) + kinks(_traced(tower(number, 1)))
-    names = {use.eqn.primitive.name for use in found}
+    _require_no_hidden_tracer(fn, program)
+    _require_forward_derivative(program)
+    found = kinks(program) + kinks(_traced(tower(number, 1)))
+    names = {use.eqn.name for use in found}
     can_be_followed = names <= UNDERSTOOD and not any(use.is_looped for use in found)
     require(not found or can_be_followed, _refusal(names, "in a way that can't be followed"))
     if is_traced(fn):
@@ -60,7 +70,7 @@ def require_smooth(fn: Callable[..., Any]) -> None:
     _require_finite_start(number)
 
 
-def _traced(fn: Callable[..., Any]) -> ClosedJaxpr:
+def _traced(fn: Callable[..., Any]) -> Program:
     try:
         with traceable("Argument `fn` of `references.Smooth`", "the time"):
             return jax.make_jaxpr(fn)(jnp.zeros(()))
@@ -70,9 +80,9 @@ def _traced(fn: Callable[..., Any]) -> ClosedJaxpr:
         ) from error
 
 
-def _require_no_hidden_tracer(fn: Callable[..., Any], closed: ClosedJaxpr) -> None:
+def _require_no_hidden_tracer(fn: Callable[..., Any], program: Program) -> None:
     visible = {id(leaf) for leaf in jax.tree.leaves(fn)}
-    hidden = [value for value in closed.consts if is_traced(value) and id(value) not in visible]
+    hidden = [value for value in parts(program).constants.values() if is_traced(value) and id(value) not in visible]
     require(
         not hidden,
         "Argument `fn` of `references.Smooth` must show the numbers it depends on, but has a traced number in its "
@@ -81,9 +91,9 @@ def _require_no_hidden_tracer(fn: Callable[..., Any], closed: ClosedJaxpr) -> No
     )
 
 
-def _require_forward_derivative(closed: ClosedJaxpr) -> None:
+def _require_forward_derivative(program: Program) -> None:
     # Tracing would let it pass, and compiling the solve would then fail.
-    names = {use.eqn.primitive.name for use in uses(closed.jaxpr)}
+    names = {use.eqn.name for use in uses(program)}
     require(
         "custom_vjp_call" not in names,
         "Argument `fn` of `references.Smooth` must have a forward derivative, but uses a `jax.custom_vjp`, which has "

@@ -12,8 +12,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxpr_as_fun
 
+from qsmc_jax.base.programs import (
+    CALLS,
+    CUSTOM_CALLS,
+    Equation,
+    UnknownProgramError,
+    branches,
+    called,
+    computed,
+    dtype_of,
+    evaluated,
+    has_many_results,
+    loop,
+    parts,
+    shape_of,
+)
 from qsmc_jax.numerics import functions as functions  # whose rules register themselves
 from qsmc_jax.numerics import intervals
 from qsmc_jax.numerics.intervals import RULES, Enclosed, Interval, Truth, hull, interval, is_point, truth
@@ -24,9 +38,10 @@ from qsmc_jax.numerics.tries import TRIES, hull_of_points, within
 _LONGEST = 4096
 
 
-_CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call"}
-_CALLS |= {"custom_vjp_call", "custom_vjp_call_jaxpr", "custom_lin"}
-_PROGRAMS = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+# Parameters that rules know, or that do not matter to values. One that is new may change what an operation does.
+_KNOWN = {"accuracy", "axes", "axis", "dimension_numbers", "fill_value", "index_dtype", "indices_are_sorted", "mode"}
+_KNOWN |= {"new_dtype", "out_dtype", "out_sharding", "precision", "preferred_element_type", "reverse", "sharding"}
+_KNOWN |= {"rounding_method", "slice_sizes", "unique_indices", "unroll", "weak_type", "y"}
 
 # Monotone in every operand, so that the ends of the result are the results of the ends.
 _SHAPING = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "transpose", "slice", "concatenate", "pad", "rev"}
@@ -63,12 +78,15 @@ def enclose(fn: Callable[..., Any], *box: Enclosed, rounding: Rounding = Roundin
     points = [jnp.asarray(side) if is_point(side) else side.lo for side in box]
     program = jax.make_jaxpr(fn)(*points)
     walk = _Walk(rounding)
-    values = walk.run(program.jaxpr, program.consts, box)
+    try:
+        values = evaluated(program, box, walk.results)
+    except UnknownProgramError as error:
+        raise CannotEncloseError("a program of this version of JAX") from error
     return Enclosure(tuple(values), walk.jumps, tuple(sorted(walk.unknown)))
 
 
 class CannotEncloseError(Exception):
-    """A primitive without a rule has results that are no numbers, such as random keys."""
+    """A primitive without a rule has results that are no numbers, such as random keys; or nothing can be read."""
 
 
 class _Walk:
@@ -78,38 +96,37 @@ class _Walk:
         self.rounding, self.jumps = rounding, jnp.zeros((), bool)
         self.unknown: set[str] = set()
 
-    def run(self, jaxpr: Jaxpr, consts: Sequence[Any], arguments: Sequence[Enclosed]) -> list[Enclosed]:
-        known: dict[Any, Enclosed] = dict(zip(jaxpr.constvars, consts, strict=True))
-        known.update(zip(jaxpr.invars, arguments, strict=True))
-
-        def read(var: Any) -> Enclosed:
-            return jnp.asarray(var.val, _kind(var)) if isinstance(var, Literal) else known[var]
-
-        for eqn in jaxpr.eqns:
-            known.update(zip(eqn.outvars, self._results(eqn, [read(var) for var in eqn.invars]), strict=True))
-        return [read(var) for var in jaxpr.outvars]
-
-    def _results(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Sequence[Enclosed]:
-        name = eqn.primitive.name
-        if name in _CALLS:
+    def results(self, eqn: Equation, operands: list[Enclosed]) -> Sequence[Enclosed]:
+        """The results of one operation, points where its operands are."""
+        name = eqn.name
+        if name in CALLS | CUSTOM_CALLS:
             return self._call(eqn, operands)
         if all(map(is_point, operands)):
-            return _computed(eqn, operands)
+            return computed(eqn, operands)
         if _is_complex(eqn):
             return self._tried(eqn, operands)
-        if name in ("eq", "ne") and eqn.invars[0] is eqn.invars[1]:  # so NaNs are looked for; a box holds numbers
+        if name in ("eq", "ne") and eqn.inputs[0] is eqn.inputs[1]:  # so NaNs are looked for; a box holds numbers
             is_same = jnp.full(np.shape(interval(operands[0]).lo), name == "eq")
             return [Truth(is_same, ~is_same)]
         if name in ("cond", "scan"):
             return (self._cond if name == "cond" else self._scan)(eqn, operands)
-        result = self._result(name, eqn, operands)
+        try:
+            result = self._result(name, eqn, operands)
+        except UnknownProgramError:  # a parameter that its rule reads is not there
+            result = None
         if result is None:
             return self._tried(eqn, operands)
-        return result if eqn.primitive.multiple_results else [result]
+        return result if has_many_results(eqn) else [result]
 
-    def _result(self, name: str, eqn: JaxprEqn, operands: list[Enclosed]) -> Any:
+    def _result(self, name: str, eqn: Equation, operands: list[Enclosed]) -> Any:
         """The result of one operation, None if there is no rule for it."""
-        is_of_bits = name in _LOGIC and not jnp.issubdtype(_kind(eqn.outvars[0]), jnp.bool_)
+        if name in _SHAPING | _GROWING or (name == "sort" and len(operands) == 1):
+            if name == "stop_gradient":
+                self._note(jnp.ones((), bool))  # not a jump, but its derivative says as little of it
+            return _by_ends(eqn, operands)
+        if not eqn.params.keys() <= _KNOWN or eqn.params.get("out_dtype") is not None:
+            return None
+        is_of_bits = name in _LOGIC and not jnp.issubdtype(dtype_of(eqn.outputs[0]), jnp.bool_)
         if name in RULES and not is_of_bits:
             result = RULES[name](self.rounding, *operands, **eqn.params)
             if name in _JUMPING:
@@ -123,10 +140,6 @@ class _Walk:
             return result
         if name == "select_n":
             return self._select(operands[0], operands[1:])
-        if name in _SHAPING | _GROWING or (name == "sort" and len(operands) == 1):
-            if name == "stop_gradient":
-                self._note(jnp.ones((), bool))  # not a jump, but its derivative says as little of it
-            return _by_ends(eqn, operands)
         structural = {
             "convert_element_type": self._convert,
             "reduce_sum": self._sum,
@@ -141,57 +154,57 @@ class _Walk:
         }
         return structural[name](eqn, operands) if name in structural else None
 
-    def _tried(self, eqn: JaxprEqn, operands: list[Enclosed]) -> list[Enclosed]:
+    def _tried(self, eqn: Equation, operands: list[Enclosed]) -> list[Enclosed]:
         """The hull of its results at some points of the box."""
-        if not eqn.outvars:  # it is there for what it does, such as printing
+        if not eqn.outputs:  # it is there for what it does, such as printing
             return []
-        self.unknown.add(eqn.primitive.name)
+        self.unknown.add(eqn.name)
         self._note(jnp.ones((), bool))
-        if any(jnp.issubdtype(getattr(var.aval, "dtype", float), jax.dtypes.extended) for var in eqn.outvars):
-            raise CannotEncloseError(eqn.primitive.name)
-        tries = [_computed(eqn, [within(value, i, k) for i, value in enumerate(operands)]) for k in range(TRIES)]
+        if any(jnp.issubdtype(dtype_of(var) or float, jax.dtypes.extended) for var in eqn.outputs):
+            raise CannotEncloseError(eqn.name)
+        tries = [computed(eqn, [within(value, i, k) for i, value in enumerate(operands)]) for k in range(TRIES)]
         return [hull_of_points(jnp.stack(results)) for results in zip(*tries, strict=True)]
 
     def _note(self, jumps: Any) -> None:
         self.jumps = self.jumps | jnp.any(jumps)
 
-    def _call(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Sequence[Enclosed]:
+    def _call(self, eqn: Equation, operands: list[Enclosed]) -> Sequence[Enclosed]:
         named = {"_interp": self._interpolated, "searchsorted": self._searched}.get(eqn.params.get("name", ""))
         result = named(eqn, operands) if named is not None else None
         if result is not None:
             return [result]
-        program = next(eqn.params[key] for key in _PROGRAMS if key in eqn.params)
-        is_closed = isinstance(program, ClosedJaxpr)
-        return self.run(program.jaxpr if is_closed else program, program.consts if is_closed else (), operands)
+        program = called(eqn)
+        return self._tried(eqn, operands) if program is None else evaluated(program, operands, self.results)
 
-    def _interpolated(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval | None:
+    def _interpolated(self, eqn: Equation, operands: list[Enclosed]) -> Interval | None:
         """`jnp.interp`: the values at the ends, and at the knots between them. Its derivative has two results."""
         at, *table = operands
         knots, values, *others = table
-        is_usual = all(map(is_point, table)) and np.ndim(knots) == 1 and len(eqn.outvars) == 1
-        if is_point(at) or np.ndim(at.lo) or not is_usual:
+        is_usual = all(map(is_point, table)) and np.ndim(knots) == 1 and len(eqn.outputs) == 1
+        program = called(eqn)
+        if is_point(at) or np.ndim(at.lo) or not is_usual or program is None:
             return None
-        program = jaxpr_as_fun(eqn.params["jaxpr"])
-        ends = [program(end, *table)[0] for end in at]
+        value = lambda end: evaluated(program, [end, *table], computed)[0]  # noqa: E731
+        ends = list(map(value, at))
         is_between = (knots >= at.lo) & (knots <= at.hi)
-        if any(inner.primitive.name == "sort" for inner in eqn.params["jaxpr"].eqns):  # it has a period
+        if any(inner.name == "sort" for inner in parts(program).equations):  # it has a period
             first, last = (jnp.floor((end - knots) / jnp.abs(others[-1])) for end in at)
             is_between = is_between | (last > first)
         else:  # beyond the last knot, on either side, it may jump
-            self._note((at.lo <= knots[0]) & (knots[0] <= at.hi) & (program(at.lo, *table)[0] != values[0]))
-            self._note((at.lo <= knots[-1]) & (knots[-1] <= at.hi) & (program(at.hi, *table)[0] != values[-1]))
+            self._note((at.lo <= knots[0]) & (knots[0] <= at.hi) & (value(at.lo) != values[0]))
+            self._note((at.lo <= knots[-1]) & (knots[-1] <= at.hi) & (value(at.hi) != values[-1]))
         low = jnp.min(jnp.where(is_between, values, jnp.inf), initial=jnp.inf)
         high = jnp.max(jnp.where(is_between, values, -jnp.inf), initial=-jnp.inf)
         known = Interval(jnp.minimum(low, jnp.minimum(*ends)), jnp.maximum(high, jnp.maximum(*ends)))
         return self.rounding(known, units=8)
 
-    def _searched(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval | None:
+    def _searched(self, eqn: Equation, operands: list[Enclosed]) -> Interval | None:
         """`jnp.searchsorted`: its place grows with what is looked for; what stands behind that is its derivative."""
         table, sought, *others = operands
-        if not is_point(table) or is_point(sought):
+        program, others = called(eqn), [interval(other).lo for other in others]
+        if not is_point(table) or is_point(sought) or program is None:
             return None
-        program, others = jaxpr_as_fun(eqn.params["jaxpr"]), [interval(other).lo for other in others]
-        return Interval(*(program(table, end, *others)[0] for end in _without_nan(sought)))
+        return Interval(*(evaluated(program, [table, end, *others], computed)[0] for end in _without_nan(sought)))
 
     def _select(self, which: Enclosed, cases: Sequence[Enclosed]) -> Enclosed:
         if is_point(which):
@@ -203,9 +216,12 @@ class _Walk:
         self._note(sum(jnp.asarray(p, int) for p in possible) > 1)
         return hull([_where_possible(p, case) for p, case in zip(possible, cases, strict=True)])
 
-    def _cond(self, eqn: JaxprEqn, operands: list[Enclosed]) -> list[Enclosed]:
+    def _cond(self, eqn: Equation, operands: list[Enclosed]) -> list[Enclosed]:
+        chosen = branches(eqn)
+        if chosen is None:
+            return self._tried(eqn, operands)
         which, *arguments = operands
-        outcomes = [self.run(branch.jaxpr, branch.consts, arguments) for branch in eqn.params["branches"]]
+        outcomes = [evaluated(branch, arguments, self.results) for branch in chosen]
         return [self._branched(which, cases) for cases in zip(*outcomes, strict=True)]
 
     def _branched(self, which: Enclosed, cases: Sequence[Enclosed]) -> Enclosed:
@@ -214,25 +230,25 @@ class _Walk:
         index = interval(which)
         return self._select(Interval(spread(index.lo), spread(index.hi)), cases)
 
-    def _scan(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Sequence[Enclosed]:
+    def _scan(self, eqn: Equation, operands: list[Enclosed]) -> Sequence[Enclosed]:
         """A loop of fixed length, unrolled."""
-        params, body = eqn.params, eqn.params["jaxpr"]
-        if params["length"] * len(body.jaxpr.eqns) > _LONGEST:
+        found = loop(eqn)
+        if found is None or found.length * len(parts(found.body).equations) > _LONGEST:
             return self._tried(eqn, operands)
-        consts, carry = params["num_consts"], params["num_carry"]
+        consts, carry = found.constants, found.carried
         state, rows = list(operands[consts : consts + carry]), operands[consts + carry :]
         stacked: list[list[Enclosed]] = []
-        order = range(params["length"])
-        for k in reversed(order) if params["reverse"] else order:
+        order = range(found.length)
+        for k in reversed(order) if found.is_reversed else order:
             row = [_mapped(lambda end, k=k: end[k], [values]) for values in rows]
-            results = self.run(body.jaxpr, body.consts, [*operands[:consts], *state, *row])
+            results = evaluated(found.body, [*operands[:consts], *state, *row], self.results)
             state = results[:carry]
             stacked.append(results[carry:])
-        stacked = stacked[::-1] if params["reverse"] else stacked
+        stacked = stacked[::-1] if found.is_reversed else stacked
         return [*state, *(_mapped(lambda *ends: jnp.stack(ends), column) for column in zip(*stacked, strict=True))]
 
-    def _convert(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Enclosed:
-        (value,), new = operands, eqn.params["new_dtype"]
+    def _convert(self, eqn: Equation, operands: list[Enclosed]) -> Enclosed:
+        (value,), new = operands, eqn.param("new_dtype")
         if jnp.issubdtype(new, jnp.bool_):
             return value if isinstance(value, Truth) else RULES["ne"](self.rounding, value, 0)
         ends = interval(value)
@@ -245,32 +261,32 @@ class _Walk:
             self._note(result.lo != result.hi)
         return result
 
-    def _sum(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+    def _sum(self, eqn: Equation, operands: list[Enclosed]) -> Interval:
         (low, high), terms = _by_ends(eqn, operands), max(np.size(operands[0].lo), 1)
         if self.rounding is Rounding.NEAREST or not _is_real(low):
             return Interval(low, high)
-        (size,) = _computed(eqn, [intervals.absolute(self.rounding, operands[0]).hi])
+        (size,) = computed(eqn, [intervals.absolute(self.rounding, operands[0]).hi])
         slack = 2.0 * terms * jnp.finfo(low.dtype).eps * jnp.abs(size)
         return self.rounding(Interval(low - slack, high + slack))
 
-    def _argmax(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+    def _argmax(self, eqn: Equation, operands: list[Enclosed]) -> Interval:
         """From the first place that can be highest, to the first that is sure to be, or the last that can."""
         low, high = _without_nan(interval(operands[0]))
-        (axis,), kind = eqn.params["axes"], _kind(eqn.outvars[0])
+        (axis,), kind = eqn.param("axes"), dtype_of(eqn.outputs[0])
         can = high >= jnp.max(low, axis=axis, keepdims=True)
         is_sure = low >= jnp.max(high, axis=axis, keepdims=True)
         last = low.shape[axis] - 1 - jnp.argmax(jnp.flip(can, axis), axis=axis)
         last = jnp.where(jnp.any(is_sure, axis=axis), jnp.argmax(is_sure, axis=axis), last)
         return Interval(jnp.argmax(can, axis=axis).astype(kind), last.astype(kind))
 
-    def _argmin(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+    def _argmin(self, eqn: Equation, operands: list[Enclosed]) -> Interval:
         return self._argmax(eqn, [RULES["neg"](self.rounding, interval(operands[0]))])
 
-    def _dot(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Interval:
+    def _dot(self, eqn: Equation, operands: list[Enclosed]) -> Interval:
         """By middles and radii, which is exact where one operand is a point."""
         a, b = map(interval, operands)
         (mid_a, rad_a), (mid_b, rad_b) = ((0.5 * (e.lo + e.hi), 0.5 * (e.hi - e.lo)) for e in (a, b))
-        dot = lambda p, q: _computed(eqn, [p, q])[0]  # noqa: E731
+        dot = lambda p, q: computed(eqn, [p, q])[0]  # noqa: E731
         size_a, size_b = jnp.abs(mid_a), jnp.abs(mid_b)
         middle, radius = dot(mid_a, mid_b), dot(size_a, rad_b) + dot(rad_a, size_b) + dot(rad_a, rad_b)
         if self.rounding is Rounding.OUTWARD:
@@ -278,14 +294,13 @@ class _Walk:
             radius = radius + 4.0 * terms * jnp.finfo(middle.dtype).eps * (dot(size_a, size_b) + radius)
         return self.rounding(Interval(middle - radius, middle + radius))
 
-    def _gather(self, eqn: JaxprEqn, operands: list[Enclosed]) -> Enclosed:
+    def _gather(self, eqn: Equation, operands: list[Enclosed]) -> Enclosed:
         """Entries of an array: of the places that the index can have where they are known, else of all."""
         table, *places = operands
         if all(map(is_point, places)):
-            return _mapped(lambda end: _computed(eqn, [end, *places])[0], [table])
+            return _mapped(lambda end: computed(eqn, [end, *places])[0], [table])
         self._note(jnp.any(jnp.stack([jnp.any(interval(place).lo != interval(place).hi) for place in places])))
-        aval: Any = eqn.outvars[0].aval
-        shape, table = aval.shape, interval(table)
+        shape, table = shape_of(eqn.outputs[0]), interval(table)
         is_reached = jnp.ones(table.lo.shape, bool)
         if np.ndim(table.lo) == 1 and len(places) == 1 and np.prod(shape) == np.size(interval(places[0]).lo) == 1:
             size = table.lo.shape[0]
@@ -297,16 +312,10 @@ class _Walk:
         return Interval(jnp.full(shape, low), jnp.full(shape, high))
 
 
-def _computed(eqn: JaxprEqn, operands: Sequence[Any]) -> Sequence[Any]:
-    """The operation on points."""
-    result = eqn.primitive.bind(*operands, **eqn.params)
-    return result if eqn.primitive.multiple_results else [result]
-
-
-def _by_ends(eqn: JaxprEqn, operands: Sequence[Enclosed]) -> Any:
+def _by_ends(eqn: Equation, operands: Sequence[Enclosed]) -> Any:
     """The operation on the lower ends, and on the upper ones."""
-    is_many = eqn.primitive.multiple_results
-    parts = [_computed(eqn, [end[k] for end in _as_pairs(operands)]) for k in (0, 1)]
+    is_many = has_many_results(eqn)
+    parts = [computed(eqn, [end[k] for end in _as_pairs(operands)]) for k in (0, 1)]
     kind = Truth if any(isinstance(value, Truth) for value in operands) else Interval
     results = [kind(low, high) for low, high in zip(*parts, strict=True)]
     return results if is_many else results[0]
@@ -343,9 +352,9 @@ def _without_nan(ends: Interval) -> Interval:
     return Interval(*(jnp.where(jnp.isnan(end), far, end) for end, far in zip(ends, (-jnp.inf, jnp.inf), strict=True)))
 
 
-def _reduced_truth(eqn: JaxprEqn, operands: list[Truth]) -> Truth:
-    (value,), axes = operands, eqn.params["axes"]
-    some, every = (jnp.any, jnp.all) if eqn.primitive.name == "reduce_or" else (jnp.all, jnp.any)
+def _reduced_truth(eqn: Equation, operands: list[Truth]) -> Truth:
+    (value,), axes = operands, eqn.param("axes")
+    some, every = (jnp.any, jnp.all) if eqn.name == "reduce_or" else (jnp.all, jnp.any)
     return Truth(some(value.may, axis=axes), every(value.may_not, axis=axes))
 
 
@@ -365,14 +374,10 @@ def _extreme(like: Any, sign: int) -> Any:
     return jnp.asarray(ends.max if sign > 0 else ends.min, jnp.result_type(like))
 
 
-def _kind(var: Any) -> Any:
-    return var.aval.dtype
-
-
 def _is_real(value: Any) -> bool:
     return bool(jnp.issubdtype(jnp.result_type(value), jnp.inexact))
 
 
-def _is_complex(eqn: JaxprEqn) -> bool:
-    types = [getattr(var.aval, "dtype", float) for var in (*eqn.invars, *eqn.outvars)]
+def _is_complex(eqn: Equation) -> bool:
+    types = [dtype_of(var) or float for var in (*eqn.inputs, *eqn.outputs)]
     return any(jnp.issubdtype(kind, jnp.complexfloating) for kind in types)

@@ -154,6 +154,20 @@ def _square(rounding: Rounding, a: Interval, **_: Any) -> Interval:
     return _integer_pow(rounding, a, y=2)
 
 
+@rule("one_minus_square")
+def _one_minus_square(rounding: Rounding, a: Interval, **_: Any) -> Interval:
+    return _sub(rounding, jnp.ones_like(a.lo), _square(rounding, a))
+
+
+@rule("polynomial")
+def _polynomial(rounding: Rounding, a: Enclosed, *coefficients: Enclosed, **_: Any) -> Interval:
+    """A polynomial by its coefficients, the constant first."""
+    *lower, result = coefficients
+    for coefficient in reversed(lower):
+        result = _add(rounding, multiply(rounding, result, a), coefficient)
+    return interval(result)
+
+
 @rule("pow")
 def _pow(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
     """A real power: monotone in each operand on either side of base 1 and power 0. A negative base has whole ones."""

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.unseen import is_known, unseen_in_reference, unseen_in_signal
 from qsmc_jax.numerics.unseen import Nodes, Step, Unseen, unseen
@@ -37,7 +38,7 @@ def probed_functions(loop: ClosedLoop) -> tuple[str, ...]:
         return jnp.zeros(())
 
     number = jax.ShapeDtypeStruct((), float)
-    with jax.enable_x64(True):
+    with in_64_bits():
         jax.eval_shape(look, number, number, (number,) * loop.order)
     listed = {name: ", ".join(f"`{operation}`" for operation in names) for name, names in found.items() if names}
     return tuple(f"{name} ({operations})" for name, operations in listed.items())

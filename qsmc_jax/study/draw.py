@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import is_traced, nearest, require, require_finite, require_positive, require_shape, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import as_float64
+from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.simulation.figures import Figures, SampledFigures
@@ -253,7 +254,7 @@ def discover(scenario: Callable[[Any], Any]) -> tuple[tuple[DrawSpec, ...], Any]
     Returns:
         The names in order of appearance, and what the scenario returned at the nominal point.
     """
-    with jax.enable_x64(True):
+    with in_64_bits():
         draw = PointDraw()
         result = scenario(draw)
         with traceable("Argument `scenario`", "the numbers it draws"):

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind
 from qsmc_jax.base.compiled import compiled
+from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
@@ -49,7 +50,7 @@ class Lanes:
     def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
         """How stiff each of up to `count` runs will be."""
         program = self._compiled(_stiffness, numbers=0)
-        with jax.enable_x64(True):
+        with in_64_bits():
             return np.asarray(program(self._filled(points), self._values()))[: len(points)]
 
     def compile(self, method: str) -> Program:
@@ -81,7 +82,7 @@ class Lanes:
     def call(self, program: Program, points: Float[np.ndarray, "runs dim"]) -> Any:
         """What such a program makes of up to `count` points, on the host; rows beyond them mean nothing."""
         numbers = np.float64(self.study.bandwidth), self.settings.rtol, self.settings.atol
-        with jax.enable_x64(True):
+        with in_64_bits():
             return jax.device_get(program(self._filled(points), self._values(), *numbers))
 
     def _compiled(self, block: Callable[..., Any], numbers: int) -> Program:
@@ -120,7 +121,7 @@ def _compiled(
     vectorise: bool,
 ) -> Program:
     """The program of `block(scenario, points, values, *numbers)` for arguments of the given shapes."""
-    with jax.enable_x64(True):
+    with in_64_bits():
         points = jax.ShapeDtypeStruct((count, dim), np.float64)
         values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
         rest = (jax.ShapeDtypeStruct((), np.float64),) * numbers

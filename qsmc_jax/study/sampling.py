@@ -19,6 +19,7 @@ from scipy.stats import qmc
 
 from qsmc_jax.base.checks import is_whole, require, require_count
 from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.precision import in_64_bits
 
 Indices: TypeAlias = Sequence[int] | np.ndarray
 
@@ -68,7 +69,7 @@ class Random(AbstractSampling):
     def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
         wanted = _checked_indices(seed, indices, 2**63)
         padded = np.resize(wanted, -(-wanted.size // _BLOCK) * _BLOCK).reshape(-1, _BLOCK)
-        with jax.enable_x64(True), jax.threefry_partitionable(True):
+        with in_64_bits(), jax.threefry_partitionable(True):
             key = jr.key(seed, impl="threefry2x32")
             blocks = [_random_block(key, *_words(block), dim) for block in padded]
         return np.concatenate([np.empty((0, dim)), *blocks])[: wanted.size]

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy import optimize, special
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.tuning.batch import Batch
 
 Method: TypeAlias = str | optax.GradientTransformation | optx.AbstractMinimiser
@@ -127,7 +128,7 @@ def _by_optax(slope: Slope, v0: np.ndarray, method: optax.GradientTransformation
     """In the coordinate logit v, which keeps the bounds; stops when the best of 20 steps is no better than before."""
     y = special.logit(np.clip(v0, _INSIDE, 1.0 - _INSIDE))
     values: list[float] = []
-    with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
+    with in_64_bits(), jax.numpy_dtype_promotion("standard"):
         state = method.init(jnp.asarray(y))
         for _ in range(steps):
             value, gradient = _in_logit(slope, y)
@@ -152,7 +153,7 @@ def _by_optimistix(slope: Slope, v0: np.ndarray, method: optx.AbstractMinimiser,
         out, gradient = jax.pure_callback(lambda y: _in_logit(slope, np.asarray(y)), shapes, primals[0])
         return out, gradient @ tangents[0]
 
-    with jax.enable_x64(True):
+    with in_64_bits():
         optx.minimise(lambda y, _: value(y), method, jnp.asarray(y0), max_steps=steps, throw=False)
 
 
