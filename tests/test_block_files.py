@@ -5,16 +5,18 @@ import os
 
 import hypothesis.strategies as st
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 
 from qsmc_jax.campaign.atomic import write_whole
-from qsmc_jax.campaign.blocks import BlockFile, block_files, gaps, write_block
+from qsmc_jax.campaign.blocks import BlockError, BlockFile, block_files, gaps, write_block
 from qsmc_jax.campaign.columns import described
 from qsmc_jax.study.runs import Runs
 from tests.studies_for_tests import study
 
+OWNER = "mine"
 SPANS = st.lists(st.tuples(st.integers(0, 40), st.integers(1, 12)), max_size=8)
 
 
@@ -35,19 +37,19 @@ def table(start, stop):
 
 
 def test_a_block_comes_back_as_it_was_written(tmp_path):
-    file = write_block(tmp_path, table(5, 900), {"escalated": [1, 0], "defects": [7]}, study.specs)
-    assert (file.start, file.stop, file.is_sound) == (5, 900, True)
+    file = write_block(tmp_path, table(5, 900), {"escalated": [1, 0], "defects": [7]}, study.specs, OWNER)
+    assert (file.start, file.stop) == (5, 900)
     assert block_files(tmp_path) == [file]
-    read = file.read()
+    read, about = file.read(OWNER)
     assert read.names == ("d",)
     for name in read:
         np.testing.assert_array_equal(read[name], table(5, 900)[name])
-    assert file.about()["escalated"] == [1, 0]
-    assert file.about()["defects"] == [7]
+    assert about["escalated"] == [1, 0]
+    assert about["defects"] == [7]
 
 
 def test_equal_rows_have_equal_names(tmp_path):
-    files = [write_block(tmp_path, table(0, 100), {"escalated": [0, 0]}, study.specs) for _ in range(2)]
+    files = [write_block(tmp_path, table(0, 100), {"escalated": [0, 0]}, study.specs, OWNER) for _ in range(2)]
     assert files[0] == files[1]
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -55,21 +57,52 @@ def test_equal_rows_have_equal_names(tmp_path):
 @given(place=st.integers(0, 10**9), bit=st.integers(0, 7))
 def test_a_flipped_bit_anywhere_is_noticed(tmp_path_factory, place, bit):
     folder = tmp_path_factory.mktemp("blocks")
-    file = write_block(folder, table(0, 50), {}, study.specs)
+    file = write_block(folder, table(0, 50), {}, study.specs, OWNER)
     content = bytearray(file.path.read_bytes())
     content[place % len(content)] ^= 1 << bit
     file.path.write_bytes(content)
-    assert not file.is_sound
+    with pytest.raises(BlockError, match="is damaged"):
+        file.read(OWNER)
 
 
 def test_a_truncated_file_is_noticed(tmp_path):
-    file = write_block(tmp_path, table(0, 50), {}, study.specs)
+    file = write_block(tmp_path, table(0, 50), {}, study.specs, OWNER)
     file.path.write_bytes(file.path.read_bytes()[:-100])
-    assert not file.is_sound
+    with pytest.raises(BlockError, match="is damaged"):
+        file.read(OWNER)
+
+
+def test_a_block_of_another_campaign_is_named(tmp_path):
+    file = write_block(tmp_path, table(0, 50), {}, study.specs, "another")
+    with pytest.raises(BlockError, match=r"is of another campaign \(fingerprint another there, mine here\)"):
+        file.read(OWNER)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(50, 100), (0, 49), (1, 50), (0, 51)])
+def test_a_block_under_the_name_of_another_is_named(tmp_path, start, stop):
+    file = write_block(tmp_path, table(0, 50), {}, study.specs, OWNER)
+    other = file.path.with_name(f"{start:012d}-{stop:012d}-{file.path.name[26:]}")
+    file.path.rename(other)
+    (there,) = block_files(tmp_path)
+    with pytest.raises(BlockError, match="has the runs 0 to 49, not those of its name"):
+        there.read(OWNER)
+
+
+@pytest.mark.parametrize("columns", [{"x": [1, 2]}, {"index": [1, 0]}, {"index": ["a", "b"]}])
+def test_another_table_is_no_block(tmp_path, columns):
+    import hashlib
+
+    path = tmp_path / "file"
+    pq.write_table(pa.table(columns), path)
+    name = f"{0:012d}-{2:012d}-{hashlib.sha256(path.read_bytes()).hexdigest()[:16]}.parquet"
+    path.rename(tmp_path / name)
+    (file,) = block_files(tmp_path)
+    with pytest.raises(BlockError, match="is no block of rows"):
+        file.read(OWNER)
 
 
 def test_any_parquet_reader_sees_descriptions_and_units(tmp_path):
-    file = write_block(tmp_path, table(0, 50), {}, study.specs)
+    file = write_block(tmp_path, table(0, 50), {}, study.specs, OWNER)
     schema = pq.read_schema(file.path)
     assert schema.field("d").metadata[b"description"] == b"Drawn by the study: uniform."
     assert b"1 - peak_ratio" in schema.field("margin").metadata[b"description"]
@@ -77,8 +110,6 @@ def test_any_parquet_reader_sees_descriptions_and_units(tmp_path):
 
 
 def test_every_column_of_a_run_is_described():
-    import pyarrow as pa
-
     import qsmc_jax as qj
 
     rows = qj.monte_carlo(study, 1, block=64)

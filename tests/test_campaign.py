@@ -175,7 +175,7 @@ def test_a_damaged_block_is_told_put_aside_and_solved_again(tmp_path, plain, spo
     run_campaign(folder, RECIPE, RUNS)
     path = sorted((folder.path / "blocks").iterdir())[2]
     path.write_bytes(spoil(path.read_bytes()))
-    assert status_of(folder).damaged == (path.name,)
+    assert status_of(folder).damaged == (f"{path.name} is damaged",)
     with pytest.warns(UserWarning, match="is damaged"):
         found = run_campaign(folder, RECIPE, RUNS)
     assert found is not None

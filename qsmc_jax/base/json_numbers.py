@@ -21,6 +21,19 @@ def to_json(content: Mapping[str, Any]) -> str:
     return json.dumps(_plain(content), indent=2, allow_nan=False)
 
 
+def restored(content: Any) -> Any:
+    """What was read from such a document, with its infinite numbers again; what is unknown stays None."""
+    if isinstance(content, list):
+        return [restored(item) for item in content]
+    if not isinstance(content, dict):
+        return content
+    plain = {key: restored(item) for key, item in content.items() if key != INFINITE}
+    for key, sign in content.get(INFINITE, {}).items():
+        value = math.copysign(math.inf, sign)
+        plain[key] = [value if item is None else item for item in plain[key]] if plain.get(key) else value
+    return plain
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         infinite = {str(key): _sign(item) for key, item in value.items() if _sign(item)}

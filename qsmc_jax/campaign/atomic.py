@@ -2,6 +2,8 @@
 
 import contextlib
 import os
+import platform
+import shutil
 import uuid
 from pathlib import Path
 
@@ -18,7 +20,7 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         InputError: The disk is full, or the folder can't be written to. Nothing is left behind.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{uuid.uuid4().hex[:8]}.tmp")
+    temporary = temporary_beside(path)
     try:
         with temporary.open("wb") as file:
             file.write(content)
@@ -33,6 +35,42 @@ def write_whole(path: Path, content: bytes) -> None:
             f"File `{path}` can't be written: {error.strerror}. What was written before is whole: make room, or make "
             "the folder writable, and give the same command again."
         ) from None
+
+
+def temporary_beside(path: Path) -> Path:
+    """A new hidden name beside a file or folder, which says what process it is of."""
+    mine = f"{platform.node().replace('.', '_')[:40]}.{os.getpid()}.{uuid.uuid4().hex[:8]}"
+    return path.with_name(f".{path.name[:100]}.{mine}.tmp")
+
+
+def remove_leftovers(folder: Path, name: str = "") -> None:
+    """Removes temporary files and folders of processes of this machine that are dead.
+
+    Args:
+        folder: Where to look.
+        name: Of what they are temporary; empty for all.
+    """
+    if not folder.is_dir():
+        return
+    for path in folder.glob(".*.tmp"):
+        parts = path.name.rsplit(".", 4)
+        is_ours = len(parts) == 5 and parts[2].isdigit() and (not name or parts[0] == f".{name[:100]}")
+        if is_ours and is_dead(parts[1], int(parts[2])):
+            shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def is_dead(machine: str | None, process: int | None) -> bool:
+    """Whether a process is known to be gone: it was of this machine, and has ended."""
+    here = platform.node()
+    if machine not in (here, here.replace(".", "_")[:40]) or not isinstance(process, int):
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _flush_folder(folder: Path) -> None:

@@ -10,7 +10,9 @@ import hashlib
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.columns import described
@@ -35,28 +37,56 @@ class BlockFile:
     stop: int
     path: Path
 
-    @property
-    def is_sound(self) -> bool:
-        """Whether its bytes are those that were written."""
+    def read(self, fingerprint: str) -> "Block":
+        """Its rows, in order, and what was written besides.
+
+        Args:
+            fingerprint: That of the campaign.
+
+        Raises:
+            BlockError: Its bytes are not those that were written, or it is of another campaign, or of other runs.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        content = self.path.read_bytes()
         named = _NAME.fullmatch(self.path.name)
-        return named is not None and named[3] == _hash(self.path.read_bytes())
+        if named is None or named[3] != _hash(content):
+            raise BlockError("is damaged")
+        try:
+            table = pq.read_table(pa.BufferReader(content))
+            about = json.loads((table.schema.metadata or {})[_KEY])
+            columns = {name: table[name].to_numpy() for name in table.column_names}
+            names, runs, index = tuple(about["names"]), tuple(about["runs"]), columns["index"]
+            owner = about["fingerprint"]
+        except (pa.ArrowException, KeyError, TypeError, ValueError) as error:
+            raise BlockError(f"is no block of rows ({type(error).__name__}: {error})") from None
+        if owner != fingerprint:
+            raise BlockError(f"is of another campaign (fingerprint {owner} there, {fingerprint} here)")
+        if runs != (self.start, self.stop) or not np.array_equal(index, np.arange(self.start, self.stop)):
+            raise BlockError(f"has the runs {runs[0]} to {runs[-1] - 1}, not those of its name")
+        return Block(Runs(columns, names), about)
 
-    def read(self) -> Runs:
-        """Its rows, in order."""
-        import pyarrow.parquet as pq
 
-        table = pq.read_table(self.path)
-        about = json.loads((table.schema.metadata or {})[_KEY])
-        return Runs({name: table[name].to_numpy() for name in table.column_names}, tuple(about["names"]))
-
-    def about(self) -> dict[str, Any]:
-        """What was written of the block besides: how many runs were solved again, and the defects."""
-        import pyarrow.parquet as pq
-
-        return json.loads((pq.read_schema(self.path).metadata or {})[_KEY])
+class BlockError(Exception):
+    """Why a file is not a block of the campaign: a sentence without its subject."""
 
 
-def write_block(folder: Path, table: Runs, about: dict[str, Any], specs: tuple[DrawSpec, ...]) -> BlockFile:
+class Block(NamedTuple):
+    """What is in a block file.
+
+    Attributes:
+        rows: Its rows, in order.
+        about: How many runs were solved again, and the defects.
+    """
+
+    rows: Runs
+    about: dict[str, Any]
+
+
+def write_block(
+    folder: Path, table: Runs, about: dict[str, Any], specs: tuple[DrawSpec, ...], fingerprint: str
+) -> BlockFile:
     """Writes rows of consecutive runs.
 
     Args:
@@ -64,6 +94,7 @@ def write_block(folder: Path, table: Runs, about: dict[str, Any], specs: tuple[D
         table: The rows, in order.
         about: What to write besides, plain numbers; equal for equal rows.
         specs: The drawn names.
+        fingerprint: That of the campaign.
 
     Returns:
         The file.
@@ -72,12 +103,13 @@ def write_block(folder: Path, table: Runs, about: dict[str, Any], specs: tuple[D
     import pyarrow.parquet as pq
 
     rows = pa.table(dict(table.columns))
-    schema = described(rows.schema, specs).with_metadata({_KEY: json.dumps({"names": table.names, **about})})
+    start, stop = int(table["index"][0]), int(table["index"][-1]) + 1
+    written = {"names": table.names, "fingerprint": fingerprint, "runs": (start, stop), **about}
+    schema = described(rows.schema, specs).with_metadata({_KEY: json.dumps(written)})
     sink = pa.BufferOutputStream()
     # Drawn numbers and figures hardly ever repeat: without a dictionary they take less room, and a third of the time.
     pq.write_table(rows.cast(schema), sink, compression="zstd", use_dictionary=False)
     content = sink.getvalue().to_pybytes()
-    start, stop = int(table["index"][0]), int(table["index"][-1]) + 1
     path = folder / f"{start:012d}-{stop:012d}-{_hash(content)}.parquet"
     write_whole(path, content)
     return BlockFile(start, stop, path)

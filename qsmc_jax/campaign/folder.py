@@ -5,6 +5,7 @@ import datetime
 import json
 import os
 import platform
+import shutil
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,14 +13,15 @@ from typing import Any
 
 from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.campaign.atomic import write_whole
-from qsmc_jax.campaign.blocks import BlockFile, block_files, gaps, write_block
+from qsmc_jax.campaign.atomic import is_dead, remove_leftovers, temporary_beside, write_whole
+from qsmc_jax.campaign.blocks import Block, BlockError, BlockFile, block_files, gaps, write_block
+from qsmc_jax.campaign.documents import IDENTITY, MANIFEST, REQUEST, SESSION, SUMMARY, read_document
 from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
 from qsmc_jax.study.draw import DrawSpec
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.verification.stopping import LOOK
 
-SCHEMA = 2
+SCHEMA = 3
 FILE_RUNS = LOOK
 
 
@@ -62,35 +64,43 @@ class RunFolder:
             InputError: The folder has something else in it, or can't be made.
         """
         require_count("file_runs", file_runs)
+        remove_leftovers(path.parent, path.name)
+        new = temporary_beside(path)
         try:
-            path.mkdir(parents=True, exist_ok=True)
-            is_empty = not any(path.iterdir())
+            is_free = not path.exists() or (path.is_dir() and not any(path.iterdir()))
             require(
-                is_empty,
+                is_free,
                 f"Argument `--out` must be a new folder or one of this study, but `{path}` holds something else.",
             )
-            (path / "blocks").mkdir()
-            (path / "sessions").mkdir()
-        except OSError as error:
-            message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
-            raise InputError(message) from None
-        folder = cls(path)
-        write_whole(path / "study.py", recipe.source)
-        folder.write_json(
-            "manifest.json",
-            {
+            path.parent.mkdir(parents=True, exist_ok=True)
+            new.mkdir()
+            for name in ("blocks", "sessions", "requests"):
+                (new / name).mkdir()
+            write_whole(new / "study.py", recipe.source)
+            manifest = {
                 "schema": SCHEMA,
                 "fingerprint": fingerprint(recipe.identity),
                 "identity": recipe.identity,
                 "study_file": study_file,
                 "study_path": str(Path(study_file).resolve()),
+                "machine": platform.node(),
+                "files": dict(recipe.files),
                 "file_runs": file_runs,
-                "asked_for": [],
-                "is_anytime": False,
                 "provenance": dict(provenance),
-            },
-        )
-        return folder
+            }
+            cls(new).write_json("manifest.json", manifest)
+            # In one go: whoever finds the folder finds it whole. One that somebody else has just made is his.
+            os.rename(new, path)
+        except OSError as error:
+            shutil.rmtree(new, ignore_errors=True)
+            if cls(path).exists:
+                return cls.open(path)
+            message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
+            raise InputError(message) from None
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+        return cls(path)
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
@@ -104,9 +114,11 @@ class RunFolder:
         """
         folder = cls(path)
         require(folder.exists, f"Argument `RUN` must be the folder of a campaign, but `{path}` has no `manifest.json`.")
+        schema = read_document(path / "manifest.json", {"schema": int})["schema"]
+        made_by = "a newer version of qsmc_jax: use that" if schema > SCHEMA else "an older version: begin anew"
         require(
-            folder.manifest.get("schema") == SCHEMA,
-            f"Folder `{path}` has schema {folder.manifest.get('schema')!r}, but this version reads {SCHEMA}.",
+            schema == SCHEMA,
+            f"Folder `{path}` has schema {schema}, but this version reads {SCHEMA}. It is of {made_by}.",
         )
         return folder
 
@@ -117,22 +129,21 @@ class RunFolder:
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """What is known of the whole campaign."""
-        return self.read_json("manifest.json")
+        """What is known of the whole campaign; never changed."""
+        manifest = read_document(self.path / "manifest.json", MANIFEST)
+        missing = [key for key, kinds in IDENTITY.items() if not isinstance(manifest["identity"].get(key), kinds)]
+        require(not missing, f"Key `identity` of file `{self.path / 'manifest.json'}` has no `{''.join(missing[:1])}`.")
+        return manifest
 
-    def read_json(self, name: str) -> dict[str, Any]:
-        """A JSON file of the folder.
+    @property
+    def fingerprint(self) -> str:
+        """What decides the rows, as a short hash."""
+        return self.manifest["fingerprint"]
 
-        Args:
-            name: Its name, relative to the folder.
-
-        Raises:
-            InputError: It is missing or damaged.
-        """
-        try:
-            return json.loads((self.path / name).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"File `{self.path / name}` can't be read: {error}.") from None
+    def summary(self) -> dict[str, Any] | None:
+        """What was found in the end; None if that is not known yet."""
+        path = self.path / "summary.json"
+        return read_document(path, SUMMARY) if path.is_file() else None
 
     def check(self, recipe: Recipe) -> None:
         """Raises, with the keys that differ, unless the recipe is the folder's own.
@@ -140,7 +151,11 @@ class RunFolder:
         Args:
             recipe: What is asked for.
         """
-        require_same(self.manifest["identity"], recipe.identity, str(self.path))
+        manifest = self.manifest
+        there, now = manifest["files"], recipe.files
+        changed = [f"`{name}`" for name in {**there, **now} if there.get(name) != now.get(name)] if there or now else []
+        hint = f" Of what the study read, {', '.join(changed)} is not what it was." if changed else ""
+        require_same(manifest["identity"], recipe.identity, str(self.path), hint)
 
     def ask_for(self, runs: int, is_anytime: bool) -> bool:
         """Notes how many runs are asked for; from the second number on, or with a stopping rule, one has looked.
@@ -152,31 +167,42 @@ class RunFolder:
         Returns:
             Whether intervals must hold at any time.
         """
-        manifest = self.manifest
-        asked_for = manifest["asked_for"]
-        changed = {
-            **manifest,
-            "asked_for": asked_for if runs in asked_for else [*asked_for, runs],
-            "is_anytime": manifest["is_anytime"] or is_anytime or asked_for not in ([], [runs]),
-        }
-        if changed != manifest:
-            self.write_json("manifest.json", changed)
-        return changed["is_anytime"]
+        require_count("runs", runs)
+        name = f"{runs:012d}{'-anytime' if is_anytime else ''}.json"
+        if not (self.path / "requests" / name).exists():
+            self.write_json(f"requests/{name}", {"runs": runs, "is_anytime": is_anytime})
+        return self.is_anytime
+
+    def _requests(self) -> list[dict[str, Any]]:
+        paths = sorted((self.path / "requests").glob("[!.]*.json"))
+        return [read_document(path, REQUEST) for path in paths]
+
+    @property
+    def asked_for(self) -> list[int]:
+        """Numbers of runs asked for, ascending; each request is a file of its own, so that none is lost."""
+        return sorted({each["runs"] for each in self._requests()})
+
+    @property
+    def is_anytime(self) -> bool:
+        """Whether intervals must hold at any time: somebody may have looked before deciding how many runs."""
+        return len(self.asked_for) > 1 or any(each["is_anytime"] for each in self._requests())
 
     def sound_files(self, start: int, stop: int) -> list[BlockFile]:
-        """Files with runs of a range whose bytes are as they were written; others are put aside, with a warning.
+        """Files with runs of a range that are what they should be; others are put aside, with a warning.
 
         Args:
             start: First run.
             stop: Run after the last.
         """
-        sound = []
+        sound, owner = [], self.fingerprint
         for file in block_files(self.path / "blocks"):
             if file.start < stop and file.stop > start:
-                if file.is_sound:
-                    sound.append(file)
+                try:
+                    file.read(owner)
+                except BlockError as fault:
+                    self._put_aside(file, str(fault))
                 else:
-                    self._put_aside(file)
+                    sound.append(file)
         return sound
 
     def missing(self, start: int, stop: int) -> list[range]:
@@ -196,7 +222,7 @@ class RunFolder:
             specs: The names that they were drawn by.
         """
         about = {"escalated": solved.escalated, "defects": solved.defects}
-        write_block(self.path / "blocks", solved.rows, about, specs)
+        write_block(self.path / "blocks", solved.rows, about, specs, self.fingerprint)
 
     def tables(self, start: int = 0, stop: int | None = None) -> Iterator[Runs]:
         """Rows of the runs start ... stop - 1 that there are, in order, each once; damaged files are passed over.
@@ -206,16 +232,21 @@ class RunFolder:
             stop: Run after the last; None for all.
         """
         reached = start
-        for file in block_files(self.path / "blocks"):
+        for file, block in self.blocks():
             if (stop is not None and file.start >= stop) or file.stop <= reached:
                 continue
-            if not file.is_sound:
-                warnings.warn(f"File `{file.path}` is damaged and passed over.", stacklevel=2)
-                continue
-            table = file.read()
-            index = table["index"]
-            yield table.take((index >= reached) & (index < (file.stop if stop is None else stop)))
+            index = block.rows["index"]
+            yield block.rows.take((index >= reached) & (index < (file.stop if stop is None else stop)))
             reached = file.stop
+
+    def blocks(self) -> Iterator[tuple[BlockFile, Block]]:
+        """All blocks, by their range; what is none of the campaign's is passed over, with a warning."""
+        owner = self.fingerprint
+        for file in block_files(self.path / "blocks"):
+            try:
+                yield file, file.read(owner)
+            except BlockError as fault:
+                warnings.warn(f"File `{file.path}` {fault}: passed over.", stacklevel=3)
 
     def effort(self, stop: int) -> dict[str, Any]:
         """Escalated runs and defects of the blocks up to a run.
@@ -224,16 +255,25 @@ class RunFolder:
             stop: Run after the last.
         """
         escalated, defects = [0, 0], set()
-        for file in block_files(self.path / "blocks"):
+        for file, block in self.blocks():
             if file.start < stop:
-                about = file.about()
-                escalated = [a + b for a, b in zip(escalated, about["escalated"], strict=True)]
-                defects.update(index for index in about["defects"] if index < stop)
+                escalated = [a + b for a, b in zip(escalated, block.about["escalated"], strict=True)]
+                defects.update(index for index in block.about["defects"] if index < stop)
         return {"escalated": tuple(escalated), "defects": tuple(sorted(defects))}
 
     def sessions(self) -> list[dict[str, Any]]:
         """The notes of all sessions, the oldest first."""
-        return [self.read_json(f"sessions/{path.name}") for path in sorted((self.path / "sessions").glob("[!.]*.json"))]
+        return [read_document(path, SESSION) for path in sorted((self.path / "sessions").glob("[!.]*.json"))]
+
+    def sweep(self) -> None:
+        """Removes what processes left behind that died on this machine, and notes that their sessions ended."""
+        for place in (self.path, *(self.path / name for name in ("blocks", "sessions", "requests", "figures"))):
+            if place.is_dir():
+                remove_leftovers(place)
+        for path in (self.path / "sessions").glob("[!.]*.json"):
+            note = read_document(path, SESSION)
+            if note["state"] == "running" and is_dead(note.get("machine"), note.get("process")):
+                write_whole(path, json.dumps({**note, "state": "interrupted"}, indent=2).encode())
 
     def begin_session(self, provenance: Mapping[str, Any]) -> "Session":
         """A note for the work of this process.
@@ -241,9 +281,11 @@ class RunFolder:
         Args:
             provenance: Versions, machine and time, plain values.
         """
+        self.sweep()
         began = datetime.datetime.now(datetime.UTC)
-        name = f"{began:%Y%m%dT%H%M%S%f}-{platform.node()}-{os.getpid()}.json"
-        return Session(self.path / "sessions" / name, {"began": began.isoformat(), "provenance": dict(provenance)})
+        name = f"{began:%Y%m%dT%H%M%S%f}-{platform.node()[:64]}-{os.getpid()}.json"
+        about = {"began": began.isoformat(), "machine": platform.node(), "process": os.getpid()}
+        return Session(self.path / "sessions" / name, {**about, "provenance": dict(provenance)})
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Writes a JSON file of the folder.
@@ -254,16 +296,16 @@ class RunFolder:
         """
         write_whole(self.path / name, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
-    def _put_aside(self, file: BlockFile) -> None:
+    def _put_aside(self, file: BlockFile, fault: str) -> None:
         aside = self.path / "damaged"
-        warnings.warn(f"File `{file.path}` is damaged: moved to `{aside}`, its runs are solved again.", stacklevel=4)
+        warnings.warn(f"File `{file.path}` {fault}: moved to `{aside}`, its runs are solved again.", stacklevel=4)
         try:
             aside.mkdir(exist_ok=True)
             os.replace(file.path, aside / file.path.name)
         except FileNotFoundError:
             pass  # another worker was quicker
         except OSError as error:
-            message = f"File `{file.path}` is damaged and can't be moved to `{aside}`: {error.strerror}."
+            message = f"File `{file.path}` {fault} and can't be moved to `{aside}`: {error.strerror}."
             raise InputError(message) from None
 
 

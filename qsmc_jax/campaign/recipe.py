@@ -6,11 +6,12 @@ import functools as ft
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.contents import contents
 from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
 from qsmc_jax.study.runs import Runs, concatenate
@@ -34,6 +35,7 @@ class Recipe:
         settings: Method and tolerances of the first solve.
         block: Runs solved together, a multiple of 64; the rows do not depend on it.
         threads: Blocks solved at the same time; None for one a core.
+        files: Hashes of what the study read when it was loaded, by name: to name what changed, no more.
 
     Examples:
         Comments and layout of the file do not count:
@@ -53,15 +55,20 @@ class Recipe:
     settings: SolverSettings = dataclasses.field(default_factory=SolverSettings)
     block: int = BLOCK
     threads: int | None = None
+    files: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @ft.cached_property
     def identity(self) -> dict[str, Any]:
-        """What changes the rows, as plain values by name. The file counts without its comments and its layout."""
+        """What changes the rows, as plain values by name.
+
+        The file counts without its comments and its layout, and what it computes by its traced programs, with all
+        numbers in them, wherever they come from.
+        """
         study, settings = self.study, self.settings
-        code = ast.dump(ast.parse(self.source))
         parameters = {spec.name: spec.flat_nominal for spec in study.specs if spec.kind == "parameter"}
         identity = {
-            "study_code": hashlib.sha256(code.encode()).hexdigest(),
+            "study_code": code_hash(self.source),
+            "contents": contents(study),
             "parameters": parameters,
             "values": {name: value.tolist() for name, value in study.values.items()},
             "bandwidth": float(study.bandwidth),
@@ -85,8 +92,8 @@ class Recipe:
         """`stream` of the study, to be called with indices, `settings` and `block`."""
         return ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
 
-    def solve(self, runs: range, progress: Progress | None = None) -> "Solved":
-        """Solves and decides consecutive runs; not by two threads at once.
+    def solve(self, runs: Sequence[int], progress: Progress | None = None) -> "Solved":
+        """Solves and decides runs; not by two threads at once.
 
         Args:
             runs: Their indices.
@@ -124,20 +131,43 @@ class Solved:
     seconds: float
 
 
+def code_hash(source: bytes) -> str:
+    """A hash of a Python file that comments and layout do not change; of one that Python can't read, of its bytes."""
+    try:
+        code = ast.dump(ast.parse(source)).encode()
+    except (SyntaxError, ValueError):
+        code = source
+    return hashlib.sha256(code).hexdigest()
+
+
 def fingerprint(identity: dict[str, Any]) -> str:
     """A short hash of what changes the rows."""
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def require_same(found: dict[str, Any], asked: dict[str, Any], place: str) -> None:
-    """Raises, with the keys that differ, unless two identities are the same."""
-    differ = [key for key in {**found, **asked} if found.get(key) != asked.get(key)]
-    changes = ", ".join(f"`{key}` ({_short(found.get(key))} there, {_short(asked.get(key))} now)" for key in differ)
+def require_same(found: dict[str, Any], asked: dict[str, Any], place: str, hint: str = "") -> None:
+    """Raises, with the keys that differ, unless two identities are the same.
+
+    Args:
+        found: The identity there.
+        asked: The one now.
+        place: Where there is.
+        hint: What may have changed, a sentence with a space before it.
+    """
+    there, now = _entries(found), _entries(asked)
+    differ = [key for key in {**there, **now} if there.get(key) != now.get(key)]
+    changes = ", ".join(f"{key} ({_short(there.get(key))} there, {_short(now.get(key))} now)" for key in differ)
     require(
         not differ,
-        f"Folder `{place}` belongs to another study: {changes}. Go on with the study as it was, or begin beside it "
-        "with --fresh.",
+        f"Folder `{place}` belongs to another study: {changes}.{hint} Go on with the study as it was, or begin beside "
+        "it with --fresh.",
     )
+
+
+def _entries(identity: dict[str, Any]) -> dict[str, Any]:
+    """The entries of an identity, each under the name that a user should read."""
+    own = {f"`{key}`": value for key, value in identity.items() if key != "contents"}
+    return {**own, **{f"what the {part} computes": value for part, value in identity.get("contents", {}).items()}}
 
 
 def _short(value: Any) -> str:

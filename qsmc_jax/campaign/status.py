@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from qsmc_jax.campaign.blocks import block_files, gaps
+from qsmc_jax.campaign.blocks import BlockError, BlockFile, block_files, gaps
 from qsmc_jax.campaign.folder import RunFolder
 
 
@@ -18,7 +18,7 @@ class Status:
         fingerprint: What decides the rows, as a short hash.
         solved: Runs whose rows are there.
         asked_for: Runs asked for.
-        damaged: Files whose bytes are not those that were written.
+        damaged: Files that are not blocks of this campaign as they were written, each with what is wrong with it.
         sessions: Notes of the sessions, the oldest first.
         verdict: The verdict, once there is a summary.
     """
@@ -41,7 +41,7 @@ class Status:
         lines = [
             f"{self.place}: {self.solved} of {self.asked_for} runs{share}, verdict {self.verdict or 'not yet known'}",
             f"study {self.study_file}, fingerprint {self.fingerprint}",
-            *(f"damaged, to be solved again: {name}" for name in self.damaged),
+            *(f"to be solved again: {name}" for name in self.damaged),
         ]
         for each in self.sessions:
             rate = f", {each['runs'] / each['seconds']:.0f} runs/s" if each["seconds"] else ""
@@ -72,17 +72,26 @@ def status_of(folder: RunFolder) -> Status:
         (0, 0)
     """
     manifest, files = folder.manifest, block_files(folder.path / "blocks")
-    asked_for = max(manifest["asked_for"], default=0)
-    checked = [(file, file.is_sound) for file in files]
-    sound = [file for file, is_sound in checked if is_sound]
-    has_summary = (folder.path / "summary.json").is_file()
+    asked_for = max(folder.asked_for, default=0)
+    faults = {file: _fault(file, manifest["fingerprint"]) for file in files}
+    sound = [file for file, fault in faults.items() if not fault]
+    summary = folder.summary()
     return Status(
         place=str(folder.path),
         study_file=manifest["study_file"],
         fingerprint=manifest["fingerprint"],
         solved=asked_for - sum(map(len, gaps(sound, 0, asked_for))),
         asked_for=asked_for,
-        damaged=tuple(file.path.name for file, is_sound in checked if not is_sound),
+        damaged=tuple(f"{file.path.name} {fault}" for file, fault in faults.items() if fault),
         sessions=tuple(folder.sessions()),
-        verdict=folder.read_json("summary.json")["verdict"] if has_summary else None,
+        verdict=summary["verdict"] if summary else None,
     )
+
+
+def _fault(file: BlockFile, fingerprint: str) -> str:
+    """What is wrong with a file; empty if nothing is."""
+    try:
+        file.read(fingerprint)
+    except BlockError as fault:
+        return str(fault)
+    return ""

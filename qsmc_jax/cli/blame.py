@@ -19,7 +19,7 @@ def users_line(error: BaseException) -> str | None:
     Args:
         error: The error, with its traceback.
     """
-    frames = [frame for frame in frames_of(error) if not _is_library(frame.filename)]
+    frames = [frame for frame in frames_of(error) if not is_library(frame.filename)]
     if not frames or frames[-1].filename.startswith(_OURS):
         return None
     return f"{frames[-1].filename}, line {frames[-1].lineno}"
@@ -42,6 +42,7 @@ def told(error: BaseException) -> str:
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
-def _is_library(file: str) -> bool:
+def is_library(file: str) -> bool:
+    """Whether a file is that of a library, Python's own included; ours are none."""
     is_ours = file.startswith(_OURS)
     return not is_ours and (file.startswith(("<", *_LIBRARIES)) or "site-packages" in file)

@@ -3,7 +3,7 @@
 Exit codes: 0 done, 2 bad input, 3 interrupted, or (`show`) a run that does not come out as recorded.
 """
 
-import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -37,11 +37,12 @@ def register_campaign(app: typer.Typer) -> None:
 def show_status(run: Folder, as_json: Json = False) -> None:
     """How far a campaign is, and who worked on it."""
     with session(cache=False):
+        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.campaign.status import status_of
 
         status = status_of(RunFolder.open(run))
-        say(json.dumps(status.summary(), indent=2) if as_json else str(status))
+        say(to_json(status.summary()) if as_json else str(status))
 
 
 def show_run(
@@ -92,6 +93,7 @@ def export_rows(
 ) -> None:
     """Write the rows of a campaign to one file that other tools read."""
     with session(cache=False):
+        from qsmc_jax.campaign.atomic import temporary_beside
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.report.export import write_csv, write_netcdf
 
@@ -99,7 +101,12 @@ def export_rows(
         path = out or run.with_name(run.name + {"csv": ".csv", "netcdf": ".nc"}[to])
         if path.exists():
             raise InputError(f"Argument `--out` must be a new file, but `{path}` exists. Choose another.")
-        {"csv": write_csv, "netcdf": write_netcdf}[to](folder, path)
+        temporary = temporary_beside(path)
+        try:
+            {"csv": write_csv, "netcdf": write_netcdf}[to](folder, temporary)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
         say(f"Written to {path}.")
 
 

@@ -1,5 +1,6 @@
 """From what the user names to what decides the rows of a campaign."""
 
+import platform
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,33 +17,38 @@ def recipe_of(study_file: Path, overrides: list[str], **options: Any) -> "Recipe
     from qsmc_jax.campaign.recipe import Recipe
 
     source = Source.read(study_file)
-    return Recipe(load_study(source, overrides), source.content, **options)
+    study = load_study(source, overrides)
+    return Recipe(study, source.content, files=source.files, **options)
 
 
 def recipe_again(folder: "RunFolder", study_file: Path | None, **options: Any) -> "Recipe":
     """The recipe that a run folder was made by.
 
-    It runs the study file that the folder was made from, where it was named then, or the one named now; the copy in the
-    folder is run only if it is named.
+    It runs the study file named now, or the one that the folder was made from if that was on this machine and is still
+    where it was; in both cases only if its code is what it was. The copy in the folder is run only if it is named.
 
     Raises:
         InputError: There is no such file, or it is no longer the same study.
     """
-    from qsmc_jax.campaign.recipe import Recipe
+    from qsmc_jax.campaign.recipe import Recipe, code_hash, require_same
     from qsmc_jax.simulation.settings import SolverSettings
 
     manifest = folder.manifest
-    identity, named = manifest["identity"], study_file or Path(manifest["study_path"])
-    is_inside = folder.path.resolve() in named.resolve().parents
-    if not named.is_file() or (is_inside and study_file is None):
+    identity, there = manifest["identity"], Path(manifest["study_path"])
+    named = study_file or there
+    is_ours = there.is_absolute() and folder.path.resolve() not in there.resolve().parents
+    is_here = is_ours and manifest["machine"] == platform.node()
+    if not named.is_file() or not (study_file or is_here):
         raise InputError(
-            f"The study of `{folder.path}` was `{named}`, which is not there. Name the file by --study. A copy, to be "
-            f"run if you trust it, is `{folder.path / 'study.py'}`."
+            f"The study of `{folder.path}` was `{there}` on `{manifest['machine']}`, which is not there. Name the file "
+            f"by --study. A copy, to be run if you trust it, is `{folder.path / 'study.py'}`."
         )
+    source = Source.read(named)
+    # Before a line of it is run: a file of this name may be anybody's.
+    require_same({"study_code": identity["study_code"]}, {"study_code": code_hash(source.content)}, str(folder.path))
     settings = SolverSettings(identity["rtol"], identity["atol"])
     settings = settings.replace(**{name: identity[name] for name, _ in settings.choices if name in identity})
-    source = Source.read(named)
     study = load_study(source, []).substitute(**identity["values"])
-    recipe = Recipe(study, source.content, int(identity["seed"]), settings, **options)
+    recipe = Recipe(study, source.content, int(identity["seed"]), settings, files=source.files, **options)
     folder.check(recipe)
     return recipe

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.blame import frames_of, told, users_line
+from qsmc_jax.cli.opened import files_read
 
 if TYPE_CHECKING:
     from qsmc_jax.study.study import Study
@@ -20,10 +21,12 @@ class Source:
     Attributes:
         path: The file, as the user named it.
         content: Its bytes.
+        files: Hashes of what it reads besides, by name; known once it was run.
     """
 
     path: Path
     content: bytes
+    files: dict[str, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path) -> "Source":
@@ -56,13 +59,15 @@ class Source:
         module = types.ModuleType(self.path.stem)
         module.__file__ = file
         try:
-            exec(program, vars(module))
+            with files_read(self.path.parent) as files:
+                exec(program, vars(module))
         except (Exception, SystemExit) as error:
             if not (isinstance(error, InputError) or users_line(error)):
                 raise
             lines = [frame.lineno for frame in frames_of(error) if frame.filename == file]
             place = f", line {lines[-1]}" if lines else ""
             raise InputError(f"File `{file}`{place}: {told(error)}") from error
+        self.files.update(files)
         return vars(module)
 
 

@@ -45,7 +45,7 @@ def require_smooth(fn: Callable[..., Any]) -> None:
     try:
         _require_smooth(fn)
     except UnknownProgramError as error:
-        raise ValueError(
+        raise InputError(
             "Argument `fn` of `references.Smooth` must be smooth, but with this version of JAX nobody can tell: "
             f"{error}. Install an older one, or subclass `AbstractReference` with derivatives of your own."
         ) from error

@@ -8,7 +8,8 @@ from typing import Any
 
 import jinja2
 
-from qsmc_jax.base.json_numbers import to_json
+from qsmc_jax.base.checks import require
+from qsmc_jax.base.json_numbers import restored, to_json
 from qsmc_jax.base.plotting import as_png
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.commands import verify_command
@@ -46,7 +47,9 @@ def write_page(folder: RunFolder) -> None:
     Raises:
         InputError: There is no summary yet.
     """
-    summary = folder.read_json("summary.json")
+    summary = folder.summary()
+    require(summary is not None, f"Folder `{folder.path}` has no summary yet: give the command of its runs again.")
+    summary = restored(summary)
     drivers = Drivers.of(folder.tables(0, int(summary["runs"])))
     if drivers.names:
         _draw(folder, "drivers.png", drivers.plot)
@@ -64,8 +67,8 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
     identity = manifest["identity"]
     own = SolverSettings(**{name: identity[name] for name in ("rtol", "max_steps", "method")})
     error = summary["numerical_error"]
-    changed = {name: change for name, change in error["metrics"].items() if float(change["relative"]) > 0.0}
-    largest = sorted(changed.items(), key=lambda item: -float(item[1]["relative"]))
+    changed = {name: change for name, change in error["metrics"].items() if (change["relative"] or 0.0) > 0.0}
+    largest = sorted(changed.items(), key=lambda item: -item[1]["relative"])
     return environment.get_template("report.html.j2").render(
         place=place,
         summary=summary,
@@ -103,6 +106,8 @@ def _finding(row: Mapping[str, Any]) -> str:
 
 def _short(value: Any) -> str:
     """A value as a reader wants it: five digits, containers as JSON."""
+    if value is None:
+        return "unknown"
     if isinstance(value, float):
         return f"{value:.5g}"
     return value if isinstance(value, str) else json.dumps(value)

@@ -18,7 +18,8 @@ def write_csv(folder: RunFolder, path: Path) -> None:
     writer = None
     try:
         for table in folder.tables():
-            rows = pa.table(dict(table.columns))
+            # A spreadsheet would run a name that looks like a formula.
+            rows = pa.table({f"'{name}" if name[:1] in "=+-@\t" else name: column for name, column in table.items()})
             writer = writer or csv.CSVWriter(path, rows.schema)
             writer.write_table(rows)
     finally:

@@ -1,7 +1,6 @@
 """A result folder that appears whole or not at all."""
 
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +13,7 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.json_numbers import to_json
 from qsmc_jax.base.plotting import as_png
+from qsmc_jax.campaign.atomic import remove_leftovers, temporary_beside
 
 
 class ResultFolder:
@@ -33,7 +33,9 @@ class ResultFolder:
         require(not path.exists(), f"Argument `--out` must be a new folder, but `{path}` exists. {advice}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+            remove_leftovers(path.parent, path.name)
+            self._temporary = temporary_beside(path)
+            self._temporary.mkdir()
         except OSError as error:
             raise InputError(
                 f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error}."
@@ -52,7 +54,7 @@ class ResultFolder:
         pq.write_table(pa.table(dict(columns)), self._temporary / name, compression="zstd")
 
     def add_json(self, name: str, content: Mapping[str, Any]) -> None:
-        """Writes a JSON file; numbers that JSON does not know (NaN, infinities) become texts."""
+        """Writes a JSON file; for numbers that JSON does not know see `to_json`."""
         (self._temporary / name).write_text(to_json(content) + "\n", encoding="utf-8")
 
     def add_figure(self, name: str, draw: Callable[[], Any]) -> None:
@@ -61,5 +63,4 @@ class ResultFolder:
 
     def commit(self) -> None:
         """Gives the folder its name."""
-        self._temporary.chmod(0o755)
         self._temporary.rename(self.path)
