@@ -189,3 +189,16 @@ def test_a_disturbance_that_is_on_for_a_part_of_a_hold_is_met(width):
     )
     run = qj.simulate(loop, [0.0], 0.6, ts=np.array([0.0, 0.6]))
     assert float(run.figures.peak_ratio) == pytest.approx(size / rho(0.6), rel=1e-6)
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-4])
+def test_a_gain_fault_that_is_on_for_a_part_of_a_hold_is_met(width):
+    """The input stands still, and for the width of the fault counts by its factor."""
+    start, period, lost = 0.3, 0.2, 0.1
+    fault = qj.GainFault(0.053, 0.053 + width, factor=1.0 - lost / width)
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.5))
+    plan = qj.Implementation(period, gain_fault=fault)
+    loop = qj.ClosedLoop(problems.chain(1)(), qj.references.Constant(0.0), qj.disturbances.Zero(), control, plan)
+    run = qj.simulate(loop, [start], period, ts=np.array([0.0, period]))
+    u = -np.tan(0.5 * np.pi * start / rho(0.0))
+    assert float(run.x[-1, 0]) == pytest.approx(start + u * (period - lost), rel=1e-6)
