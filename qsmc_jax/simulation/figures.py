@@ -56,10 +56,10 @@ class Figures(AbstractModule):
 
     At default settings, relative to their size, `total_variation_u`, `peak_errors` and `peak_u_bound` of an ideal loop
     are good to 1e-4, `margin`, `peak_ratio`, `energy_u`, `peak_u` and `rms_error` to 1e-5. At `reach_time` |sigma| is
-    the bandwidth, and at `peak_time` |sigma|/rho its peak, to 1e-5; `violation_time` is good to 1e-5 of the horizon.
-    With `tight()` all are good to a tenth of that. `settle_time` is late by up to a step; before t_r, where nothing is
-    claimed of errors, they are looked at where steps meet only. `least_gain` and `largest_disturbance` are what was met
-    there; the others are exact.
+    the bandwidth to 1e-4, and at `peak_time` |sigma|/rho its peak to 1e-5; `violation_time` is good to 1e-5 of the
+    horizon. With `tight()` all are good to a tenth of that. `settle_time` is late by up to a step; before t_r, where
+    nothing is claimed of errors, they are looked at where steps meet only. `least_gain` and `largest_disturbance` are
+    what was met there; the others are exact.
 
     Attributes:
         verdict: Verdict on the funnel claim, |sigma(t)| < rho(t) for all t.
