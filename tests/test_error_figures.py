@@ -206,5 +206,6 @@ def test_figures_of_a_sampled_loop_are_those_of_the_independent_program(n, prese
                 assert float(named[name]) == pytest.approx(truth, abs=1e-3)
             else:
                 ours, size = np.array(named[name]), np.abs(course.besides[SIZES.get(name, name)])
-                is_close = np.abs(ours - truth) <= SETTINGS[preset][1] * RTOL_BESIDES * size
+                with np.errstate(invalid="ignore"):  # times that are infinite
+                    is_close = np.abs(ours - truth) <= SETTINGS[preset][1] * RTOL_BESIDES * size
                 assert np.all(is_close | (ours == truth)), name
