@@ -32,8 +32,8 @@ FORKS = multiprocessing.get_context("forkserver")
 QUIET = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
 # Programs that a break leaves as they are need not be compiled again: JAX keeps them in a folder.
 KEPT = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
-# Seconds after which the tests of one break are given up.
-LONGEST = 600
+# Seconds after which the tests of one break are given up, and those of all together while nothing is broken.
+LONGEST, LONGEST_UNBROKEN = 600, 3600
 # Exit codes of pytest, set apart from those of Python, which says 1 of any crash. Others mean that nothing was found.
 APART = 100
 PASSED, FAILED = APART + 0, APART + 1
@@ -101,16 +101,18 @@ def copy_tree(place: Path) -> Path:
 
 
 def run_tests(
-    root: Path, tests: Sequence[str], log: Path, options: Sequence[str] = (), write_bytecode: bool = False
+    root: Path, tests: Sequence[str], log: Path, options: Sequence[str] = (), is_broken: bool = True
 ) -> tuple[int, str]:
     """Exit code and output of pytest in a tree, in a process of its own that begins with the imports of others."""
-    process = FORKS.Process(target=_pytest, args=(root, tests, log, options, write_bytecode))
+    # What a broken file is compiled to is of no use to the next break.
+    process = FORKS.Process(target=_pytest, args=(root, tests, log, options, not is_broken))
     process.start()
-    process.join(LONGEST)
+    longest = LONGEST if is_broken else LONGEST_UNBROKEN
+    process.join(longest)
     if process.is_alive():
         process.kill()
         process.join()
-        return -1, f"not done after {LONGEST} s"
+        return -1, f"not done after {longest} s"
     return process.exitcode or -1, log.read_text(encoding="utf-8", errors="replace")
 
 
@@ -185,7 +187,7 @@ def pass_unbroken(tests: Sequence[str], copies: Sequence[Path], is_shown: bool) 
     for test in tests:
         shares.setdefault(copies[place[test.partition("::")[0]]], []).append(test)
     with concurrent.futures.ThreadPoolExecutor(len(copies)) as pool:
-        run = lambda share: run_tests(*share, share[0].with_suffix(".log"), ("--durations=15",), True)  # noqa: E731
+        run = lambda share: run_tests(*share, share[0].with_suffix(".log"), ("--durations=15",), False)  # noqa: E731
         found = list(pool.map(run, shares.items()))
     for code, output in found:
         print(f"unbroken: {output.strip().splitlines()[-1]}", flush=True)

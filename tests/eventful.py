@@ -14,6 +14,7 @@ import scipy.integrate
 from jaxtyping import Array, Float
 
 import qsmc_jax as qj
+import reference_sampled_loop as exact
 from qsmc_jax.base.module import AbstractModule, float_field
 
 GAUSSIAN, HALF_SINE, STEP, SECH = range(4)
@@ -186,41 +187,55 @@ def shaped(shape, x, order):
     return [2.0 * size / (1.0 + size**2)]
 
 
+def desired(case, t):
+    """The reference of a case and its first n derivatives."""
+    waves = [case.size * np.sin(t + k * math.pi / 2) for k in range(case.n + 1)]
+    if case.where == REF:
+        bump = shaped(case.shape, (t - case.at) / case.width, case.n)
+        waves = [w + case.height * b / case.width**k for k, (w, b) in enumerate(zip(waves, bump, strict=True))]
+    return waves
+
+
+def errors(case, t, y):
+    """The width of the funnel, sigma over it, and the n errors where (e, s) is y."""
+    *e, s = y
+    rho, z = case.funnel[0] * math.exp(-case.funnel[1] * t) + case.funnel[2], 2.0 / math.pi * math.atan(math.sinh(s))
+    return rho, z, [*e, rho * z - sum(ci * ei for ci, ei in zip(surface(case.n), e, strict=True))]
+
+
+def rate(case, t, y):
+    """The derivative of (e, s)."""
+    s = min(max(y[-1], -2.0 * OUT), 2.0 * OUT)  # a stage may lie anywhere
+    rho, z, e = errors(case, t, [*y[:-1], s])
+    falls, targets = -case.funnel[1] * (rho - case.funnel[2]), desired(case, t)
+    x = [ei + di for ei, di in zip(e, targets, strict=False)]
+    now = 0.0 if case.where == REF else case.height * shaped(case.shape, (t - case.at) / case.width, 0)[0]
+    drift = case.swing * math.cos(x[0]) + case.push_out * x[-1]
+    drift += now * {D: 1.0, F: 1.0, FX: x[0]}.get(case.where, 0.0)
+    pushed_in = (1.0 - (now if case.where == G else 0.0)) * math.sinh(s)
+    w = drift - targets[case.n] + case.level - pushed_in
+    w += sum(ci * ei for ci, ei in zip(surface(case.n), e[1:], strict=True))
+    return [*e[1:], math.cosh(s) * 0.5 * math.pi * (w - z * falls) / rho]
+
+
+def start(case):
+    """(e, s) at time 0."""
+    e = [x - d for x, d in zip(case.x0, desired(case, 0.0), strict=False)]
+    z = sum(ci * ei for ci, ei in zip((*surface(case.n), 1.0), e, strict=True)) / (case.funnel[0] + case.funnel[2])
+    return [*e[:-1], math.asinh(math.tan(0.5 * math.pi * z))]
+
+
 def scipys(case):
     """When the run leaves the funnel (inf if it does not), its peak of |sigma| / rho, and the last (e, s)."""
-    c, (rho0, mu, rho_inf) = [*surface(case.n), 1.0], case.funnel
-
-    def desired(t):
-        waves = [case.size * math.sin(t + k * math.pi / 2) for k in range(case.n + 1)]
-        if case.where == REF:
-            bump = shaped(case.shape, (t - case.at) / case.width, case.n)
-            waves = [w + case.height * b / case.width**k for k, (w, b) in enumerate(zip(waves, bump, strict=True))]
-        return waves
-
-    def rate(t, y):
-        *e, s = y
-        s = min(max(s, -2.0 * OUT), 2.0 * OUT)  # a stage may lie anywhere
-        rho, falls = rho0 * math.exp(-mu * t) + rho_inf, -mu * rho0 * math.exp(-mu * t)
-        z = 2.0 / math.pi * math.atan(math.sinh(s))
-        e = [*e, rho * z - sum(ci * ei for ci, ei in zip(c, e, strict=False))]
-        targets = desired(t)
-        x = [ei + di for ei, di in zip(e, targets, strict=False)]
-        now = 0.0 if case.where == REF else case.height * shaped(case.shape, (t - case.at) / case.width, 0)[0]
-        drift = case.swing * math.cos(x[0]) + case.push_out * x[-1]
-        drift += now * {D: 1.0, F: 1.0, FX: x[0]}.get(case.where, 0.0)
-        pushed_in = (1.0 - (now if case.where == G else 0.0)) * math.sinh(s)
-        w = drift - targets[case.n] + case.level + sum(ci * ei for ci, ei in zip(c, e[1:], strict=False)) - pushed_in
-        return [*e[1:], math.cosh(s) * 0.5 * math.pi * (w - z * falls) / rho]
-
-    e = [x - d for x, d in zip(case.x0, desired(0.0), strict=False)]
-    z = sum(ci * ei for ci, ei in zip(c, e, strict=True)) / (rho0 + rho_inf)
-    y, peak = [*e[:-1], math.asinh(math.tan(0.5 * math.pi * z))], abs(z)
+    y = start(case)
+    peak = 2.0 / math.pi * math.atan(math.sinh(abs(y[-1])))
     marks = case.at + MARKS * case.width
     marks = [0.0, *marks[(marks > 0.0) & (marks < case.horizon)], case.horizon]
-    for start, end in zip(marks, marks[1:], strict=False):
-        near = abs(0.5 * (start + end) - case.at) < 41.0 * case.width
-        longest = (end - start) / STEPS if near else math.inf
-        run = scipy.integrate.LSODA(rate, start, y, end, max_step=longest, rtol=1e-9, atol=1e-11)
+    for begin, end in zip(marks, marks[1:], strict=False):
+        near = abs(0.5 * (begin + end) - case.at) < 41.0 * case.width
+        longest = (end - begin) / STEPS if near else math.inf
+        field = ft.partial(rate, case)
+        run = scipy.integrate.LSODA(field, begin, y, end, max_step=longest, rtol=1e-9, atol=1e-11)
         while run.status == "running":
             run.step()
             peak = max(peak, 2.0 / math.pi * math.atan(math.sinh(min(abs(run.y[-1]), OUT))))
@@ -229,6 +244,25 @@ def scipys(case):
         assert run.status == "finished"
         y = run.y
     return math.inf, peak, y
+
+
+def sampled_twin(case, period):
+    """The same loop, sampled, for the integration event by event, which starts anew around what happens."""
+
+    def at(place, t):
+        return case.height * shaped(case.shape, (t - case.at) / case.width, 0)[0] if case.where == place else 0.0 * t
+
+    return exact.SampledLoop(
+        drift=lambda t, x: case.swing * np.cos(x[0]) + case.push_out * x[-1] + at(F, t) + at(FX, t) * x[0],
+        gain=lambda t, x: case.sign * (1.0 - at(G, t)),
+        disturbance=lambda t: case.level + at(D, t),
+        desired=ft.partial(desired, case),
+        c=tuple(surface(case.n)),
+        **dict(zip(("rho0", "mu", "rho_inf"), case.funnel, strict=True)),
+        sample_period=period,
+        law=exact.tangent(case.sign),
+        jumps=tuple(case.at + case.width * np.array([-6.0, -3.0, -1.5, -0.75, 0.0, 0.75, 1.5, 3.0, 6.0])),
+    )
 
 
 def integrated(d, s, start, end):
@@ -242,6 +276,16 @@ def integrated(d, s, start, end):
     longest = min(0.2, 0.25 * (end - start))
     run = scipy.integrate.solve_ivp(rate, (start, end), [s], "LSODA", rtol=1e-9, atol=1e-11, max_step=longest)
     return run.y[0]
+
+
+def scipys_peak(d, marks):
+    """The peak of z where d is any function of time, for the loop of `Case`; SciPy is started anew at the marks."""
+    peak, s = 0.0, math.asinh(math.tan(0.5 * math.pi * 0.5 / 4.05))
+    inner = [t for t in np.sort(marks) if 0.0 < t < 20.0]
+    for start, end in zip([0.0, *inner], [*inner, 20.0], strict=True):
+        run = integrated(lambda t, a=start, b=end: d(min(max(t, a + 1e-11), b - 1e-11)), s, start, end)
+        peak, s = max(peak, np.max(2.0 / np.pi * np.arctan(np.sinh(np.abs(run))))), run[-1]
+    return peak
 
 
 def at_ends(t1):

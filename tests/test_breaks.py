@@ -56,6 +56,7 @@ def test_every_layer_that_decides_verdicts_is_there():
         "base",
         "campaign",
         "control",
+        "implementation",
         "model",
         "numerics",
         "simulation",

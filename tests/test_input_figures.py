@@ -2,6 +2,8 @@
 
 import functools as ft
 import math
+import runpy
+from pathlib import Path
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -66,29 +68,35 @@ def scipys(name):
         return [*e[1:], np.cosh(y[-1]) * 0.5 * np.pi * (sigma_rate + sigma * mu * (rho - rho_inf) / rho) / rho]
 
     sigma0 = c @ start(n)
-    y, begin = np.array([*start(n)[:-1], math.asinh(math.tan(0.5 * math.pi * sigma0 / (rho0 + rho_inf)))]), 0.0
+    y = np.array([*start(n)[:-1], math.asinh(math.tan(0.5 * math.pi * sigma0 / (rho0 + rho_inf)))])
+    pieces, begin = [], 0.0
+    for end in [*(SWITCHES if "telegraph" in name else []), T1]:
+        held = ft.partial(_constant, d(0.5 * (begin + end))) if "telegraph" in name else d
+        pieces.append((begin, end, ft.partial(rate, d=held)))
+        begin = end
+    return integrated(pieces, y, lambda ts, ys: ys[0] if n > 1 else errors(ts, ys)[1])
+
+
+def integrated(pieces, y, first_error):
+    """The figures of what starts at y and moves as each piece says from its begin to its end."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros(3)
     peak = abs(math.sinh(y[-1]))
-    for end in [*(SWITCHES if "telegraph" in name else []), T1]:
-        held = ft.partial(_constant, d(0.5 * (begin + end))) if "telegraph" in name else d
-        solution = scipy.integrate.solve_ivp(
-            rate, (begin, end), y, "Radau", args=(held,), rtol=1e-8, atol=1e-10, dense_output=True
-        )
+    for begin, end, rate in pieces:
+        solution = scipy.integrate.solve_ivp(rate, (begin, end), y, "Radau", rtol=1e-8, atol=1e-10, dense_output=True)
         for a, b in zip(solution.t[:-1], solution.t[1:], strict=True):
             u = np.sinh(solution.sol(np.linspace(a, b, 9))[-1])
             ts = a + (b - a) * 0.5 * (1.0 + nodes)
             ys = solution.sol(ts)
-            e = ys[0] if n > 1 else errors(ts, ys)[1]
-            integrals = [0.5 * (b - a) * weights @ v**2 for v in (np.sinh(ys[-1]), e)]
+            integrals = [0.5 * (b - a) * weights @ v**2 for v in (np.sinh(ys[-1]), first_error(ts, ys))]
             total += [np.sum(np.abs(np.diff(u))), *integrals]
             peak = max(peak, np.max(np.abs(np.sinh(solution.sol(np.linspace(a, b, 101))[-1]))))
-        y, begin = solution.y[:, -1], end
+        y = solution.y[:, -1]
     return {
         "total_variation_u": total[0],
         "energy_u": total[1],
         "peak_u": peak,
-        "rms_error": math.sqrt(total[2] / T1),
+        "rms_error": math.sqrt(total[2] / pieces[-1][1]),
     }
 
 
@@ -111,6 +119,68 @@ def test_figures_of_the_input_and_the_error_are_scipys(name, method, preset):
     truth, found = scipys(name), figures(name, method, preset)
     for figure, rtol in RTOL[preset].items():
         assert float(getattr(found, figure)) == pytest.approx(truth[figure], rel=rtol), figure
+
+
+# The nominal runs of shipped studies, written anew from their texts: drift + d, gain, derivatives of the reference, c,
+# funnel, start. Every distribution is at its median, so that d is a sine of frequency 1 and phase pi.
+STUDIED = {
+    "example1_uncertain": (
+        lambda t, x: -math.sin(x[0]) - x[1] + math.sin(x[1]) - 0.25 * math.sin(t),
+        lambda x: 1.0 / (0.01 * 9.8**2),
+        lambda t, k: math.sin(t + 0.5 * k * math.pi),
+        (2.0, 1.0),
+        (4.0, 3.0, 0.05),
+        (0.5, 0.5),
+    ),
+    "example2_uncertain": (
+        lambda t, x: x[2] * math.sin(2.0 * x[1]) + x[0] * math.cos(x[3]) - 0.5 * math.sin(t),
+        lambda x: 2.0 - math.sin(x[3]),
+        lambda t, k: math.sin(t + 0.5 * k * math.pi) + 0.5**k * math.cos(0.5 * t + 0.5 * k * math.pi),
+        (6.0, 12.0, 8.0, 1.0),
+        (5.25, 2.75, 0.05),
+        (0.6, 0.6, 0.6, 0.6),
+    ),
+}
+# What is asked of them, by tolerance.
+STUDIED_RTOL = {1e-4: 1e-2, 1e-6: 1e-4, float(qj.tight().rtol): 1e-5}
+
+
+@ft.cache
+def scipys_study(name):
+    push, gain, wave, c, (rho0, mu, rho_inf), x0 = STUDIED[name]
+    n = len(c)
+
+    def rate(t, y):
+        rho = rho0 * math.exp(-mu * t) + rho_inf
+        z = 2.0 / math.pi * math.atan(math.sinh(y[-1]))
+        e = [*y[:-1], rho * z - np.dot(c[:-1], y[:-1])]
+        x = [ei + wave(t, k) for k, ei in enumerate(e)]
+        last = push(t, x) - gain(x) * math.sinh(y[-1]) - wave(t, n)
+        sigma_rate = np.dot(c, [*e[1:], last])
+        return [*e[1:], math.cosh(y[-1]) * 0.5 * math.pi * (sigma_rate + z * mu * (rho - rho_inf)) / rho]
+
+    e = [x - wave(0.0, k) for k, x in enumerate(x0)]
+    s = math.asinh(math.tan(0.5 * math.pi * np.dot(c, e) / (rho0 + rho_inf)))
+    return integrated([(0.0, 20.0, rate)], np.array([*e[:-1], s]), lambda ts, ys: ys[0])
+
+
+@ft.cache
+def studied(name, rtol):
+    path = Path(__file__).parent.parent / "studies" / f"{name}.py"
+    return (
+        runpy.run_path(str(path))["study"]
+        .simulate(ts=np.array([0.0, 20.0]), settings=qj.SolverSettings(rtol, rtol / 100.0))
+        .figures
+    )
+
+
+@pytest.mark.parametrize("rtol", STUDIED_RTOL)
+@pytest.mark.parametrize("name", ["example1_uncertain", pytest.param("example2_uncertain", marks=pytest.mark.slow)])
+def test_figures_of_shipped_studies_are_scipys(name, rtol):
+    truth, found = scipys_study(name), studied(name, rtol)
+    assert found.verdict == qj.Verdict.HELD
+    for figure, value in truth.items():
+        assert float(getattr(found, figure)) == pytest.approx(value, rel=STUDIED_RTOL[rtol]), figure
 
 
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6])

@@ -7,6 +7,7 @@ import pytest
 from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
+import problems
 import qsmc_jax as qj
 from qsmc_jax.base.module import float_field
 from tests.mistakes import Push
@@ -174,3 +175,30 @@ def test_a_sampled_loop_meets_it_too():
     run = qj.simulate(kicked(qj.Implementation(period)), [0.1], 5.0)
     assert peak > 0.5
     assert float(run.figures.peak_ratio) == pytest.approx(peak, rel=1e-5)
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-4])
+def test_a_disturbance_that_is_on_for_a_part_of_a_hold_is_met(width):
+    """From rest sigma rises by its area, and stays there until the next sample; no cell is short by itself."""
+    size, start = 0.06, 0.53
+    zero, push = qj.disturbances.Constant(0.0), qj.disturbances.Constant(size / width)
+    pulse = qj.disturbances.Piecewise([start, start + width], (zero, push, zero))
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.5))
+    loop = qj.ClosedLoop(
+        problems.chain(1)(), qj.references.Constant(0.0), pulse, control, qj.Implementation(sample_period=0.2)
+    )
+    run = qj.simulate(loop, [0.0], 0.6, ts=np.array([0.0, 0.6]))
+    assert float(run.figures.peak_ratio) == pytest.approx(size / rho(0.6), rel=1e-6)
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-4])
+def test_a_gain_fault_that_is_on_for_a_part_of_a_hold_is_met(width):
+    """The input stands still, and for the width of the fault counts by its factor."""
+    start, period, lost = 0.3, 0.2, 0.1
+    fault = qj.GainFault(0.053, 0.053 + width, factor=1.0 - lost / width)
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.5))
+    plan = qj.Implementation(period, gain_fault=fault)
+    loop = qj.ClosedLoop(problems.chain(1)(), qj.references.Constant(0.0), qj.disturbances.Zero(), control, plan)
+    run = qj.simulate(loop, [start], period, ts=np.array([0.0, period]))
+    u = -np.tan(0.5 * np.pi * start / rho(0.0))
+    assert float(run.x[-1, 0]) == pytest.approx(start + u * (period - lost), rel=1e-6)

@@ -99,7 +99,9 @@ def test_peak_ratio_agrees_with_dense_sampling(sampled):
     assert highest == pytest.approx(float(sampled.figures.peak_ratio), rel=1e-6)
 
 
-def test_settle_time_is_the_end_of_the_last_step_outside_the_error_bounds(run):
+def test_settle_time_is_the_end_of_the_last_step_outside_the_error_bounds(problem, run):
+    # The largest error that |sigma| < epsilon permits is epsilon p(0)^-1: the poles, at -2, are real.
+    assert run.error_bounds[0] == pytest.approx(problem.bandwidth / 2.0 ** (problem.loop.order - 1), rel=1e-6)
     outside = run.ts[np.any(np.abs(run.e) >= run.error_bounds, axis=1)]
     assert outside[-1] <= float(run.figures.settle_time) <= outside[-1] + 0.05
 

@@ -107,8 +107,9 @@ def test_a_drift_that_is_not_finite_from_the_start_is_undecided_within_few_steps
     assert figures.steps < 300
 
 
-def test_edge_that_the_input_pushes_back_from_is_not_called_violated():
-    run = simulate(jump=1.0, height=1e14)
+@pytest.mark.parametrize(("strength", "height"), [(1.0, 1e14), (1.0, 1e8), (1e-3, -1e10)])
+def test_edge_that_the_input_pushes_back_from_is_not_called_violated(strength, height):
+    run = simulate(jump=1.0, height=height, strength=strength)
     assert run.outcome in (qj.Outcome.BEYOND_RESOLUTION, qj.Outcome.STEP_TOO_SMALL, qj.Outcome.MAX_STEPS)
     assert claims(run) == ["UNDECIDED"] * 3
 

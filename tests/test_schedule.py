@@ -8,7 +8,7 @@ import problems
 import qsmc_jax as qj
 from qsmc_jax.simulation.stiffness import EXPLICIT_UP_TO, method_for, stiffness, with_method
 from qsmc_jax.study.schedule import Schedule, Workload
-from qsmc_jax.study.windows import FIRST_WINDOW
+from qsmc_jax.study.windows import FIRST_WINDOW, reassembled
 from studies_for_tests import Integrator
 
 RHO_INF = (0.003, 0.2)
@@ -73,6 +73,14 @@ def test_sorting_lets_lanes_wait_less(monkeypatch):
     _, as_drawn = solve(runs=2048, settings=qj.SolverSettings(method="tsit5"))
     assert by_cost.steps == as_drawn.steps
     assert by_cost.occupancy > 1.3 * as_drawn.occupancy
+
+
+def test_rows_solved_in_any_order_come_back_in_their_own():
+    order = np.random.default_rng(1).permutation(100)
+    solved = [(rows, qj.Runs({"index": 7 + rows, "cost": rows / 3.0}, ())) for rows in np.split(order, [30, 31, 80])]
+    runs = reassembled(solved)
+    np.testing.assert_array_equal(runs["index"], np.arange(7, 107))
+    np.testing.assert_array_equal(runs["cost"], np.arange(100) / 3.0)
 
 
 def test_windows_come_in_order_and_whole():

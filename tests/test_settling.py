@@ -1,6 +1,7 @@
 """The settling time against the envelope, which is computed by another program and, here, by SciPy's quadrature."""
 
 import dataclasses
+import itertools as it
 
 import jax
 import numpy as np
@@ -66,8 +67,8 @@ def drawn(n, seed):
     return Case(c, e0, funnel, rho_inf + (rho0 - rho_inf) * 10 ** rng.uniform(-2.5, -0.2))
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
+# In the last two cases the last error, on which the sliding variable acts at once, is the last to settle.
+@pytest.mark.parametrize(("n", "seed"), [*it.product([1, 2, 3, 4, 5], range(4)), (4, 35), (5, 28)])
 def test_it_is_the_last_time_at_which_the_envelope_is_outside(n, seed):
     case = drawn(n, seed)
     found = float(case.settling_time())

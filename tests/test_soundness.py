@@ -76,6 +76,16 @@ def test_a_large_constant_push(level, peak, variation):
     known(Case(level=level), "rodas5p", "HELD", peak_ratio=peak, total_variation_u=variation)
 
 
+@pytest.mark.parametrize("method", ["rodas5p", "auto", pytest.param("tsit5", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("level", "sign"), [(50.0, 1.0), (-50.0, -1.0)])
+def test_a_push_that_is_larger_still(level, sign, method):
+    """The input rises to its peak once, and comes back to d, whatever the sign of the gain."""
+    case = Case(level=level, x0=(math.copysign(0.5, level),), sign=sign)
+    agrees(case, method)
+    peak, first = 2.0 * float(solved(case, method).peak_u), math.tan(0.5 * math.pi * 0.5 / 4.05)
+    assert float(solved(case, method).total_variation_u) == pytest.approx(peak - first - 50.0, rel=1e-4)
+
+
 def test_an_unstable_drift():
     known(Case(level=1e-9, push_out=50.0, x0=(0.0,)), "tsit5", "HELD", peak_u=48.787)
 
@@ -252,16 +262,6 @@ class OneOf(qj.AbstractDisturbance):
 ALL = {name: tuple(f for f, _, _ in group.values()) for name, group in (("bends", BENDS), ("jumps", JUMPS))}
 
 
-def scipys_peak(d, marks):
-    """The peak of z where d is any function of time, for the loop of `Case`; SciPy is started anew at the marks."""
-    peak, s = 0.0, math.asinh(math.tan(0.5 * math.pi * 0.5 / 4.05))
-    inner = [t for t in np.sort(marks) if 0.0 < t < 20.0]
-    for start, end in zip([0.0, *inner], [*inner, 20.0], strict=True):
-        run = eventful.integrated(lambda t, a=start, b=end: d(min(max(t, a + 1e-11), b - 1e-11)), s, start, end)
-        peak, s = max(peak, np.max(2.0 / np.pi * np.arctan(np.sinh(np.abs(run))))), run[-1]
-    return peak
-
-
 @METHODS
 @pytest.mark.parametrize(
     ("group", "number"), [(n, k) for n, fs in ALL.items() for k in range(len(fs))], ids=[*BENDS, *JUMPS]
@@ -271,21 +271,7 @@ def test_functions_that_bend_or_jump_need_no_declaration(group, number, method):
     figures = qj.simulate(loop, [0.5], 20.0, ts=at_ends(20.0), settings=qj.SolverSettings(method=method)).figures
     _, d, marks = list((BENDS if group == "bends" else JUMPS).values())[number]
     assert verdict_of(figures) == "HELD"
-    assert float(figures.peak_ratio) == pytest.approx(scipys_peak(d, marks), abs=PEAK)
-
-
-@pytest.mark.parametrize(
-    "count",
-    [64, *(pytest.param(k, marks=pytest.mark.slow) for k in (50, 100, 1000))],
-)
-def test_evenly_spaced_switches(count):
-    levels = 0.9 * np.random.default_rng(count).uniform(-1.0, 1.0, count)
-    times = np.arange(1, count) * (20.0 / count)
-    loop = dataclasses.replace(Case().loop(), disturbance=qj.disturbances.Telegraph(times, levels))
-    figures = qj.simulate(loop, [0.5], 20.0, ts=at_ends(20.0), settings=qj.SolverSettings(method="tsit5")).figures
-    peak = scipys_peak(lambda t: levels[min(np.searchsorted(times, t, side="right"), count - 1)], times)
-    assert verdict_of(figures) == "HELD"
-    assert float(figures.peak_ratio) == pytest.approx(peak, abs=PEAK)
+    assert float(figures.peak_ratio) == pytest.approx(eventful.scipys_peak(d, marks), abs=PEAK)
 
 
 # The sampled loop: what happens between two samples.
@@ -297,30 +283,8 @@ def sampled(case, horizon=3.0, unmatched=()):
     """Figures of a sampled loop, and those of the integration event by event."""
     implementation = qj.Implementation(sample_period=PERIOD, unmatched=unmatched)
     run = qj.simulate(case.loop(implementation), list(case.x0), horizon, bandwidth=1.0, ts=at_ends(horizon)).figures
-    shape = lambda t: case.height * eventful.shaped(case.shape, (t - case.at) / case.width, 0)[0]  # noqa: E731
-    at = lambda place, t: shape(t) if case.where == place else 0.0 * t  # noqa: E731
-    desired = lambda t: [  # noqa: E731
-        case.size * np.sin(t + k * math.pi / 2)
-        + (
-            case.height * eventful.shaped(case.shape, (t - case.at) / case.width, k)[k] / case.width**k
-            if case.where == REF
-            else 0.0
-        )
-        for k in range(case.n + 1)
-    ]
-    funnel = dict(zip(("rho0", "mu", "rho_inf"), case.funnel, strict=True))
-    marks = case.at + case.width * np.array([-6.0, -3.0, -1.5, -0.75, 0.0, 0.75, 1.5, 3.0, 6.0])
-    loop = exact.SampledLoop(
-        drift=lambda t, x: case.swing * np.cos(x[0]) + at(F, t) + at(FX, t) * x[0],
-        gain=lambda t, x: 1.0 - at(G, t),
-        disturbance=lambda t: case.level + at(D, t),
-        desired=desired,
-        c=tuple(eventful.surface(case.n)),
-        sample_period=PERIOD,
-        jumps=tuple(marks),
-        **funnel,
-    )
-    return run, exact.simulate(loop, case.x0, horizon, 1.0).figures
+    twin = eventful.sampled_twin(case, PERIOD)
+    return run, exact.simulate(twin, case.x0, horizon, 1.0).figures
 
 
 SAMPLED = {
@@ -346,6 +310,14 @@ def test_what_happens_inside_a_hold_is_met(numbers):
     assert verdict_of(run) == ("HELD" if truth.peak_ratio < 1.0 else "VIOLATED")
     if truth.peak_ratio < 1e3:  # else the run is lost, and given up
         assert float(run.peak_ratio) == pytest.approx(truth.peak_ratio, rel=PEAK)
+    assert float(run.violation_time) == pytest.approx(truth.violation_time, abs=1e-5)
+
+
+@pytest.mark.parametrize(("level", "sign"), [(50.0, 1.0), (-50.0, -1.0), (25.0, -1.0)])
+def test_a_large_constant_push_throws_a_sampled_loop_out(level, sign):
+    run, truth = sampled(Case(funnel=(4.0, 3.0, 0.4), level=level, sign=sign))
+    assert truth.peak_ratio > 1.0
+    assert verdict_of(run) == "VIOLATED"
     assert float(run.violation_time) == pytest.approx(truth.violation_time, abs=1e-5)
 
 

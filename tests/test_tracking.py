@@ -97,6 +97,16 @@ def test_a_run_along_its_envelope_is_held(sign):
     assert 0.7 * float(run.settling_time) < settled < float(run.settling_time)
 
 
+@pytest.mark.parametrize("level", [30.0, -1000.0])
+@pytest.mark.parametrize("bandwidth", [0.0505, 0.06, 0.1])
+def test_a_step_that_begins_outside_before_the_settling_time_and_ends_inside_after_it_breaks_nothing(level, bandwidth):
+    # sigma = z rho all along, e starts on that side: the envelope is all but reached, and from t_s on it is inside.
+    sigma0, side = 2.0 / math.pi * math.atan(abs(level)) * 4.05, math.copysign(1.0, level)
+    x0 = [side, side * (sigma0 - 2.0)]
+    run = simulate(qj.disturbances.Constant(level), x0, 40.0, (2.0,), bandwidth=bandwidth)
+    assert claims(run) == [HELD] * 3
+
+
 class Runaway(qj.AbstractPlant):
     """f = a x, which the limited input cannot hold once x is beyond 1 / a."""
 

@@ -219,9 +219,10 @@ def test_the_comparison_bound_has_the_motion_of_the_funnel():
     assert float(run.figures.peak_u) == pytest.approx(ratio * speed / gain, rel=1e-3)
 
 
-def test_start_outside_is_inadmissible_and_takes_no_step():
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_start_outside_is_inadmissible_and_takes_no_step(side):
     loop = problems.scalar_loop(problems.STILL)
-    run = qj.simulate(loop, [1.5 * problems.WIDTH], 20.0, bandwidth=problems.STILL_BANDWIDTH)
+    run = qj.simulate(loop, [1.5 * side * problems.WIDTH], 20.0, bandwidth=problems.STILL_BANDWIDTH)
     assert run.verdict == qj.Verdict.INADMISSIBLE
     assert run.outcome == qj.Outcome.STARTED_OUTSIDE
     assert int(run.figures.steps) == 0
@@ -250,12 +251,15 @@ class Fading(qj.AbstractPlant):
         return self.fall * (self.gone - t)
 
 
-@pytest.mark.parametrize("method", ["tsit5", "rodas5p"])
-@pytest.mark.parametrize("fall", [0.2, 1.0])
-def test_a_gain_that_fades_slowly_is_a_violation_where_it_is_gone(fall, method):
+@pytest.mark.parametrize(
+    ("fall", "push", "method"),
+    [(fall, 1.5, method) for fall in (0.2, 1.0) for method in ("tsit5", "rodas5p")]
+    + [(0.01, push, "rodas5p") for push in (-1.5, 15.0)],  # stiff loops
+)
+def test_a_gain_that_fades_slowly_is_a_violation_where_it_is_gone(fall, push, method):
     # While there is any gain the law holds the push; what is left of the funnel then, some u e^-u, is gone at once.
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(4.0, 3.0, 0.05))
-    loop = qj.ClosedLoop(Fading(3.0, fall), qj.references.Constant(0.0), qj.disturbances.Constant(1.5), control)
+    loop = qj.ClosedLoop(Fading(3.0, fall), qj.references.Constant(0.0), qj.disturbances.Constant(push), control)
     run = qj.simulate(loop, [0.1], 10.0, settings=qj.SolverSettings(method=method))
     assert run.verdict == qj.Verdict.VIOLATED
     assert float(run.figures.violation_time) == pytest.approx(3.0, abs=1e-6)

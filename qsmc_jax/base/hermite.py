@@ -61,6 +61,12 @@ class Cubic(NamedTuple):
         r"""$\max |p(\theta)|$ over $\theta$ from `start` in [0, 1] on."""
         return ft.reduce(jnp.maximum, map(jnp.abs, self.stations(start)))
 
+    def parabolas_turn(self) -> RealScalarLike:
+        """Where the parabola with the slopes of both ends turns; 1 if it does not."""
+        m0, m1 = stop_gradient(self.m0), stop_gradient(self.m1)
+        turns = m0 * m1 < 0.0
+        return jnp.where(turns, m0 / jnp.where(turns, m0 - m1, 1.0), 1.0)
+
     def crest(self) -> tuple[RealScalarLike, RealScalarLike]:
         r"""Where $|p|$ is highest after the start, and how high, if the cubic hardly bends more than a parabola does.
 
@@ -68,9 +74,7 @@ class Cubic(NamedTuple):
         the third-order terms of the step, which a solver of order 3 holds below its tolerance; in return it takes one
         division.
         """
-        m0, m1 = stop_gradient(self.m0), stop_gradient(self.m1)
-        turns = m0 * m1 < 0.0
-        place = jnp.where(turns, m0 / jnp.where(turns, m0 - m1, 1.0), 1.0)
+        place = self.parabolas_turn()
         inner, end = jnp.abs(self(place)), jnp.abs(self.y1)
         is_inner = inner > end
         return jnp.where(is_inner, place, 1.0), jnp.where(is_inner, inner, end)

@@ -124,7 +124,7 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
     is_steady = t0 >= problem.reaching_time
     sigma, z, errors = cell.sigma(), cell.ratio(), cell.errors()
     place, height = problem.fence(z.crest())
-    excess = jnp.maximum((height - 1.0) * _width_at(cell, place), jnp.abs(cell.right.sigma) - cell.right.rho)
+    excess = _excess(cell, sigma, jnp.sign(z(place)))
     is_higher, exit_ = height > tally.peak_ratio, OutsideStep(t0, h, z)
     is_out = problem.fence.claim((h > 0.0) & ((height >= 1.0) | (jnp.abs(z.y0) >= 1.0)))
     is_far = problem.fence.claim((h > 0.0) & (_height(sigma) >= problem.bandwidth))
@@ -170,11 +170,15 @@ def add_command(
     return trees.where(is_steady, new, tally)
 
 
-def _width_at(cell: Cell, place: RealScalarLike) -> RealScalarLike:
-    """The funnel's half-width inside a cell, to second order."""
-    left, h = cell.left, cell.length
-    bend = cell.right.rho - left.rho - h * left.rho_rate
-    return left.rho + place * (h * left.rho_rate + place * bend)
+def _excess(cell: Cell, sigma: Cubic, side: RealScalarLike) -> RealScalarLike:
+    """How far beyond the funnel's edge on one side the sliding variable gets in a cell, after its beginning.
+
+    It is farthest out at another instant than the ratio is highest: the funnel shrinks.
+    """
+    left, right, h = cell.left, cell.right, cell.length
+    slopes = side * sigma.m0 - h * left.rho_rate, side * sigma.m1 - h * right.rho_rate
+    past = Cubic(side * left.sigma - left.rho, side * right.sigma - right.rho, *slopes)
+    return jnp.maximum(past(past.parabolas_turn()), past.y1)
 
 
 def _height(cubic: Cubic) -> RealScalarLike:
