@@ -180,7 +180,8 @@ def test_the_report_says_what_the_check_changed_and_how_to_solve_all_runs_so(run
     there = tmp_path / "run"
     shutil.copytree(run, there)
     summary = json.loads((there / "summary.json").read_text())
-    changes = {"energy_u": {"absolute": "inf", "relative": "inf"}, "steps": {"absolute": 0.0, "relative": 0.0}}
+    infinite = {"absolute": None, "relative": None, "infinite": {"absolute": 1, "relative": 1}}
+    changes = {"energy_u": infinite, "steps": {"absolute": 0.0, "relative": 0.0}}
     error = {"checked": 9, "peak_ratio": 0.25, "changed": 2, "unchecked": 3, "metrics": changes}
     (there / "summary.json").write_text(json.dumps({**summary, "numerical_error": error}))
     assert qsmc("report", there).exit_code == 0

@@ -33,7 +33,7 @@ def test_verify_writes_rows_verdict_and_picture(tmp_path):
     assert done.exit_code == 0, done.output
     assert "HELD in all" in done.output
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result"]
-    files = ["blocks", "figures", "manifest.json", "report.html", "sessions", "study.py", "summary.json"]
+    files = ["blocks", "figures", "manifest.json", "report.html", "requests", "sessions", "study.py", "summary.json"]
     assert sorted(p.name for p in out.iterdir()) == files
     rows = pq.read_table(out / "blocks").to_pydict()
     verdict = json.loads((out / "summary.json").read_text())

@@ -26,8 +26,9 @@ def compiled_once(monkeypatch):
     """A study file that was run before is not run again, so that its program is compiled once for all tests."""
     from qsmc_jax.cli import study_file
 
-    run = study_file._run
-    monkeypatch.setattr(study_file, "_run", lambda path: vars(coin_study) if str(path) == STUDY else run(path))
+    run = study_file.Source.run
+    is_coin = lambda source: str(source.path) == STUDY  # noqa: E731
+    monkeypatch.setattr(study_file.Source, "run", lambda source: vars(coin_study) if is_coin(source) else run(source))
 
 
 def files(folder):

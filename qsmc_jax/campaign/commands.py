@@ -15,14 +15,19 @@ def solver_options(settings: SolverSettings) -> list[str]:
         >>> solver_options(qj.SolverSettings(rtol=1e-8, method="other"))
         ['--rtol', '1e-08', '--method', 'other']
     """
-    default = SolverSettings()
-    values = {"--rtol": float, "--max-steps": int, "--method": str}
+    given = {"--rtol": settings.rtol, "--atol": settings.atol, "--max-steps": settings.max_steps}
+    given["--method"] = settings.method
+    # The absolute tolerance follows from the relative one unless it is given.
+    defaults = [
+        SolverSettings().rtol,
+        SolverSettings(settings.rtol).atol,
+        SolverSettings().max_steps,
+        SolverSettings().method,
+    ]
     options = []
-    for option, kind in values.items():
-        name = option.removeprefix("--").replace("-", "_")
-        value = kind(getattr(settings, name))
-        if value != getattr(default, name):
-            options += [option, str(value)]
+    for (option, value), default in zip(given.items(), defaults, strict=True):
+        if value != default:
+            options += [option, str(value if isinstance(value, str | int) else float(value))]
     return options
 
 

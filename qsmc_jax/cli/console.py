@@ -2,10 +2,13 @@
 
 import contextlib
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TextIO
 
+# Control characters, and marks that turn the direction of writing.
+_COMMANDING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 # Where results go; the last one counts.
 _RESULTS: list[TextIO] = []
 
@@ -21,7 +24,11 @@ def results_to(file: TextIO) -> Iterator[None]:
 
 
 def say(text: str, *, is_error: bool = False) -> None:
-    """Prints a text as it is. A reader who has gone, as in `qsmc ... | head`, changes nothing."""
+    """Prints a text; signs that would command the terminal, from a file of somebody else's, as they are written.
+
+    A reader who has gone, as in `qsmc ... | head`, changes nothing.
+    """
+    text = _COMMANDING.sub(lambda sign: f"\\u{ord(sign[0]):04x}", text)
     file = sys.stderr if is_error else (_RESULTS or [sys.stdout])[-1]
     try:
         print(text, file=file, flush=True)

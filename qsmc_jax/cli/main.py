@@ -14,7 +14,7 @@ from qsmc_jax.cli.campaign_commands import register_campaign
 from qsmc_jax.cli.console import say, waiting
 from qsmc_jax.cli.exit_codes import HELD, MEANING, VIOLATED, code_of
 from qsmc_jax.cli.newcomer_commands import register_newcomer
-from qsmc_jax.cli.options import Cache, Json, MaxSteps, Method, Out, Overrides, Rtol, Seed, StudyFile
+from qsmc_jax.cli.options import Atol, Cache, Json, MaxSteps, Method, Out, Overrides, Rtol, Seed, StudyFile
 from qsmc_jax.cli.program import Program
 from qsmc_jax.cli.robustness_commands import register
 from qsmc_jax.cli.session import session
@@ -57,6 +57,7 @@ def simulate(
     out: Out = None,
     as_json: Json = False,
     rtol: Rtol = 1e-6,
+    atol: Atol = None,
     max_steps: MaxSteps = 100_000,
     method: Method = "auto",
     cache: Cache = True,
@@ -70,12 +71,13 @@ def simulate(
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             study = load_study(Source.read(study_file), overrides or [])
-            settings = SolverSettings(rtol=rtol, max_steps=max_steps, method=method)
+            settings = SolverSettings(rtol, atol, max_steps, method)
             with waiting("solving", quiet=as_json):
                 run = (
                     study.simulate(settings=settings) if index is None else study.replay(index, seed, settings=settings)
                 )
             numbers = figures_as_numbers(run)
+            say(to_json(numbers) if as_json else str(run))
             if folder:
                 folder.add_json("run.json", numbers)
                 folder.add_table("signals.parquet", run.columns())
@@ -83,7 +85,8 @@ def simulate(
                 if run.loop.order == 2:
                     folder.add_figure("phase_plane.png", run.plot_phase_plane)
                 folder.commit()
-        say(to_json(numbers) if as_json else str(run) + (f"\nWritten to {out}." if out else ""))
+                if not as_json:
+                    say(f"Written to {out}.")
     raise typer.Exit(code_of(run.verdict.name))
 
 

@@ -22,6 +22,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the study.")]
 Out = Annotated[Path | None, typer.Option(help="New folder for data and pictures.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Rtol = Annotated[float, typer.Option(help="Relative tolerance of the solver.")]
+Atol = Annotated[float | None, typer.Option(help="Absolute tolerance of the solver; default a hundredth of --rtol.")]
 Cache = Annotated[bool, typer.Option("--cache/--no-cache", help="Keep compiled programs in the user's cache folder.")]
 Method = Annotated[
     Literal["auto", "other", "tsit5", "rodas4", "rodas5p"],

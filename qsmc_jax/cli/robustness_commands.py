@@ -17,10 +17,12 @@ from qsmc_jax.cli.console import progress_bar, say, waiting
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.grids import parse_grids, parse_interval
 from qsmc_jax.cli.options import (
+    Atol,
     Block,
     Cache,
     Json,
     MaxSteps,
+    Method,
     Out,
     Overrides,
     Rtol,
@@ -55,7 +57,9 @@ def map_robustness(
     as_json: Json = False,
     dimensionless: Annotated[bool, typer.Option("--dimensionless", help="Draw axes in natural units.")] = False,
     rtol: Rtol = 1e-6,
+    atol: Atol = None,
     max_steps: MaxSteps = 100_000,
+    method: Method = "auto",
     block: Block = 512,
     threads: Threads = None,
     cache: Cache = True,
@@ -76,7 +80,7 @@ def map_robustness(
         if dimensionless and not limits(study, grids).scales:
             names = ", ".join(f"`{name}`" for name in grids)
             raise InputError(f"Argument `--dimensionless` needs a name with a natural unit, but {names} has none.")
-        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+        settings = SolverSettings(rtol, atol, max_steps, method)
 
         def work(progress: Any) -> Any:
             options = {"settings": settings, "block": block, "threads": threads, "progress": progress}
@@ -101,7 +105,9 @@ def find_critical(
     out: Out = None,
     as_json: Json = False,
     rtol: Rtol = 1e-6,
+    atol: Atol = None,
     max_steps: MaxSteps = 100_000,
+    method: Method = "auto",
     block: Block = 512,
     threads: Threads = None,
     cache: Cache = True,
@@ -116,7 +122,7 @@ def find_critical(
 
         source, ends = Source.read(study_file), parse_interval(between)
         study = load_study(source, overrides or [])
-        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+        settings = SolverSettings(rtol, atol, max_steps, method)
 
         def work(progress: Any) -> Any:
             options = {"confidence": confidence, "seed": seed, "steps": steps, "budget_per_test": budget}
@@ -140,7 +146,9 @@ def compare_studies(
     out: Out = None,
     as_json: Json = False,
     rtol: Rtol = 1e-6,
+    atol: Atol = None,
     max_steps: MaxSteps = 100_000,
+    method: Method = "auto",
     block: Block = 512,
     threads: Threads = None,
     cache: Cache = True,
@@ -162,7 +170,7 @@ def compare_studies(
             return
         source = Source.read(studies_file)
         studies = load_studies(source, overrides or [])
-        settings = SolverSettings(rtol=rtol, max_steps=max_steps)
+        settings = SolverSettings(rtol, atol, max_steps, method)
 
         def work(progress: Any) -> Any:
             options = {"metrics": metric or None, "settings": settings, "block": block, "threads": threads}
@@ -188,11 +196,13 @@ def _deliver(
         with progress_bar("solving", quiet=as_json) as progress:
             result = work(progress)
         content = {**result.summary(), "provenance": provenance(source.path, source.content, sys.argv)}
+        say(to_json(content) if as_json else str(result))
         if folder:
             folder.add_json(f"{stem}.json", content)
             folder.add_table(f"{stem}.parquet", result.table())
             with waiting("drawing", quiet=as_json):
                 folder.add_figure(f"{stem}.png", partial(draw, result))
             folder.commit()
-    say(to_json(content) if as_json else str(result) + (f"\nWritten to {out}." if out else ""))
+            if not as_json:
+                say(f"Written to {out}.")
     return result

@@ -13,7 +13,7 @@ import typer
 
 from qsmc_jax.cli.console import live_line, say, waiting
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
-from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.options import Atol, Block, Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile, Threads
 from qsmc_jax.cli.session import session
 from qsmc_jax.cli.study_file import Source, load_study
 
@@ -52,6 +52,7 @@ def tune_study(
     out: Out = None,
     as_json: Json = False,
     rtol: Rtol = 1e-6,
+    atol: Atol = None,
     max_steps: MaxSteps = 100_000,
     block: Block = 512,
     threads: Threads = None,
@@ -72,7 +73,7 @@ def tune_study(
             source = Source.read(study_file)
             study = load_study(source, overrides or [])
             parameters = tuple(part.strip() for part in names.split(","))
-            settings = SolverSettings(rtol=rtol, max_steps=max_steps, adjoint=mode)
+            settings = SolverSettings(rtol, atol, max_steps, adjoint=mode)
             solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
             how: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
             claim: Any = {"certificate_runs": certificate_runs, "risk": risk, "confidence": confidence}
@@ -80,12 +81,13 @@ def tune_study(
                 watched: Any = {} if tell is None else _Told(tell).watched
                 result = tune(study, parameters, objective, subject_to or (), **how, **claim, **solving, **watched)
             content = {**result.summary(), "provenance": provenance(study_file, source.content, sys.argv)}
+            say(to_json(content) if as_json else str(result))
             if folder:
                 with waiting("drawing", quiet=as_json):
                     drawn: Any = {"settings": settings, "block": block, "threads": threads}
                     _write(folder, result, content, {"against": against, "points": points, **drawn})
-        again = f"\nWritten to {out}. Again: qsmc verify {study_file} -S @{out} --seed {seed + 1000}" if out else ""
-        say(to_json(content) if as_json else str(result) + again)
+                if not as_json:
+                    say(f"Written to {out}. Again: qsmc verify {study_file} -S @{out} --seed {seed + 1000}")
     raise typer.Exit(HELD if result.is_certified or not certificate_runs else UNDECIDED)
 
 

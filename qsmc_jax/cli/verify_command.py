@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from qsmc_jax.base.errors import InputError
+from qsmc_jax.cli.blame import told
 from qsmc_jax.cli.console import progress_bar, say, waiting
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED, code_of
 from qsmc_jax.cli.interrupts import finishing
-from qsmc_jax.cli.options import Block, Cache, Json, MaxSteps, Method, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.options import Atol, Block, Cache, Json, MaxSteps, Method, Overrides, Rtol, Seed, StudyFile, Threads
 from qsmc_jax.cli.recipes import recipe_of
 from qsmc_jax.cli.session import session
 
@@ -46,6 +47,7 @@ def verify_study(
     as_json: Json = False,
     worst: Annotated[int, typer.Option(help="How many of the worst runs to list.")] = 5,
     rtol: Rtol = 1e-6,
+    atol: Atol = None,
     max_steps: MaxSteps = 100_000,
     method: Method = "auto",
     block: Block = 512,
@@ -61,7 +63,7 @@ def verify_study(
         from qsmc_jax.campaign.campaign import prepare as prepare_folder
         from qsmc_jax.report.provenance import provenance
 
-        settings = SolverSettings(rtol=rtol, max_steps=max_steps, method=method)
+        settings = SolverSettings(rtol, atol, max_steps, method)
         rule = _rule(until_below, until_width, sprt)
         recipe = recipe_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
         if out is None and (fresh or prepare or scheduler or workers):
@@ -84,6 +86,7 @@ def verify_study(
                 campaign = _Campaign(folder, recipe, origin, runs, confidence, worst, rule, engine)
                 result = campaign.run(as_json)
             _tell(result, study_file, again, folder.path, origin, as_json)
+            _write_report(folder, result, as_json)
     raise typer.Exit(code_of(result.verdict.name))
 
 
@@ -101,9 +104,9 @@ class _Campaign:
     engine: Any
 
     def run(self, as_json: bool) -> "Verification":
-        """Solves what is missing, and writes summary, pictures and report; ends the program if it is interrupted."""
+        """Solves what is missing, and writes the summary; ends the program if it is interrupted."""
         from qsmc_jax.campaign.campaign import run_campaign
-        from qsmc_jax.report.campaign_report import write_report
+        from qsmc_jax.report.campaign_report import write_summary
 
         with progress_bar("solving", quiet=as_json) as progress, finishing() as should_stop:
             result = run_campaign(
@@ -121,9 +124,24 @@ class _Campaign:
         if result is None:
             say(f"Interrupted: what is solved is kept in {self.folder.path}. The same command goes on.", is_error=True)
             raise typer.Exit(UNDECIDED)
-        with waiting("writing the report", quiet=as_json):
-            write_report(self.folder, result, self.origin)
+        write_summary(self.folder, result, self.origin)
         return result
+
+
+def _write_report(folder: "RunFolder", result: "Verification", as_json: bool) -> None:
+    """Pictures and page, after the verdict: no picture is worth more than that."""
+    from qsmc_jax.report.campaign_report import write_report
+
+    try:
+        with waiting("writing the report", quiet=as_json):
+            write_report(folder, result)
+    except Exception as error:  # noqa: BLE001  # whatever a picture may raise
+        again = f"qsmc report {shlex.quote(str(folder.path))}"
+        said = f"qsmc: the report could not be written ({told(error)}). The verdict stands. Once mended: {again}"
+        say(said, is_error=True)
+        return
+    if not as_json:
+        say(f"Written to {folder.path}; open {folder.path / 'report.html'}.")
 
 
 def _at_once(
@@ -218,7 +236,6 @@ def _tell(
             f"  {finding(row)}   {shlex.join([*again, str(row['index']), *words])}"
             for row, words in zip(rows, options, strict=True)
         ),
-        *([f"Written to {out}; open {out / 'report.html'}."] if out else []),
     ]
     say("\n".join(lines))
 

@@ -26,8 +26,8 @@ _PICTURES = {
 }
 
 
-def write_report(folder: RunFolder, result: Verification, provenance: Mapping[str, Any]) -> None:
-    """Writes `summary.json`, the pictures and `report.html` into the run folder.
+def write_summary(folder: RunFolder, result: Verification, provenance: Mapping[str, Any]) -> None:
+    """Writes `summary.json`: what was found, before any picture.
 
     Args:
         folder: The run folder.
@@ -36,6 +36,15 @@ def write_report(folder: RunFolder, result: Verification, provenance: Mapping[st
     """
     content = to_json({**result.summary(), "conclusion": result.conclusion(), "provenance": provenance})
     write_whole(folder.path / "summary.json", content.encode() + b"\n")
+
+
+def write_report(folder: RunFolder, result: Verification) -> None:
+    """Writes the pictures and `report.html` into a run folder that has a summary.
+
+    Args:
+        folder: The run folder.
+        result: What its rows showed.
+    """
     (folder.path / "figures").mkdir(exist_ok=True)
     _draw(folder, "verification.png", result.plot)
     write_page(folder)
@@ -52,6 +61,7 @@ def write_page(folder: RunFolder) -> None:
     summary = restored(summary)
     drivers = Drivers.of(folder.tables(0, int(summary["runs"])))
     if drivers.names:
+        (folder.path / "figures").mkdir(exist_ok=True)
         _draw(folder, "drivers.png", drivers.plot)
     write_whole(folder.path / "report.html", page(folder, summary, drivers).encode())
 

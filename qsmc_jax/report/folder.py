@@ -1,6 +1,7 @@
 """A result folder that appears whole or not at all."""
 
 import shutil
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -58,8 +59,13 @@ class ResultFolder:
         (self._temporary / name).write_text(to_json(content) + "\n", encoding="utf-8")
 
     def add_figure(self, name: str, draw: Callable[[], Any]) -> None:
-        """Writes the picture that a call draws, as PNG."""
-        (self._temporary / name).write_bytes(as_png(draw, dpi=150))
+        """Writes the picture that a call draws, as PNG; one that can't be drawn is a warning: the numbers are there."""
+        try:
+            (self._temporary / name).write_bytes(as_png(draw, dpi=150))
+        except OSError:
+            raise
+        except Exception as error:  # noqa: BLE001  # whatever a picture may raise
+            warnings.warn(f"Picture `{name}` could not be drawn: {type(error).__name__}: {error}", stacklevel=2)
 
     def commit(self) -> None:
         """Gives the folder its name."""
