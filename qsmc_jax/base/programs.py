@@ -279,8 +279,8 @@ class Rewriter:
         """Whether nothing that should be replaced is left in a program, wherever it may hide; no in doubt."""
         try:
             return not self._holds(program)
-        except Exception:  # as above
-            return False
+        except Exception:
+            return False  # as above
 
     def _or_same(self, part: Any, rewrite: Callable[[Any], Any]) -> Any:
         if self._problem:
