@@ -90,7 +90,7 @@ def methods(cls):
 
 def is_documented_above(cls, name):
     """Whether a base declares and documents a method."""
-    return any(getattr(vars(base).get(name), "__doc__", None) for base in cls.__mro__[1:])
+    return any(vars(base)[name].__doc__ for base in cls.__mro__[1:] if name in vars(base))
 
 
 def holes(thing):

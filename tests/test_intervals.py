@@ -35,7 +35,7 @@ FUNCTIONS = {
     "inverse waves": lambda t: jnp.arcsin(0.4 * t) + jnp.arccos(0.4 * t) + jnp.arctan(3.0 * t),
     "angle": lambda t: jnp.arctan2(jnp.sin(5.0 * t), jnp.cos(5.0 * t)),
     "hyperbolic": lambda t: jnp.sinh(t) + jnp.cosh(2.0 * t) - jnp.tanh(3.0 * t),
-    "slopes": jax.grad(lambda t: jnp.tanh(3.0 * t) + jax.scipy.special.erf(t) + jnp.arctanh(0.4 * t)),
+    "slopes": jax.grad(lambda t: jnp.tanh(3.0 * t) + jnp.arctanh(0.4 * t) - jnp.arcsin(0.4 * t)),
     "inverse hyperbolic": lambda t: jnp.arcsinh(t) + jnp.arccosh(t + 3.5) + jnp.arctanh(0.4 * t),
     "sigmoid": lambda t: jax.nn.sigmoid(9.0 * t) + jax.nn.softplus(5.0 * t),
     "error functions": lambda t: jax.scipy.special.erf(t) + jax.scipy.special.erfc(2.0 * t),

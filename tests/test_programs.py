@@ -155,6 +155,20 @@ def test_a_program_that_cannot_be_read_may_hold_slow_functions():
     assert is_vectorised(jax.make_jaxpr(jnp.sqrt)(0.3))
 
 
+@pytest.mark.parametrize(("fn", "name", "may_hide"), [(jnp.exp, "exp", True), (jnp.argmax, "argmax", False)])
+def test_an_operation_that_nobody_can_look_into_may_hold_a_slow_function_if_it_makes_numbers(
+    monkeypatch, fn, name, may_hide
+):
+    before = programs._equation
+
+    def opaque(raw):
+        equation = before(raw)
+        return equation._replace(name="call_hi_primitive", params={}) if equation.name == name else equation
+
+    monkeypatch.setattr(programs, "_equation", opaque)
+    assert is_vectorised(jax.make_jaxpr(jax.jit(fn))(np.ones(3))) == (not may_hide)
+
+
 @pytest.mark.parametrize("problem", ["KeyError: 'num_consts'", ""])
 def test_a_command_says_once_that_solves_are_slow_if_they_are(capsys, rewriter, problem):
     rewriter._problem = problem

@@ -278,9 +278,9 @@ class Rewriter:
     def is_done(self, program: Program) -> bool:
         """Whether nothing that should be replaced is left in a program, wherever it may hide; no in doubt."""
         try:
-            return not self._holds(program)
-        except Exception:  # as above
-            return False
+            return not self._holds(program, or_hides=True)
+        except Exception:
+            return False  # as above
 
     def _or_same(self, part: Any, rewrite: Callable[[Any], Any]) -> Any:
         if self._problem:
@@ -331,10 +331,12 @@ class Rewriter:
     def _is_slow(self, equation: Equation) -> bool:
         return equation.name in self._functions and dtype_of(equation.inputs[0]) == np.float64
 
-    def _holds(self, program: Program) -> bool:
+    def _holds(self, program: Program, or_hides: bool = False) -> bool:
         """Whether there is something to replace in it; a program left as it is keeps what JAX has cached for it."""
         return any(
-            self._is_slow(equation) or any(map(self._holds, programs_in(equation.params)))
+            self._is_slow(equation)
+            or (or_hides and equation.name in OPAQUE and any(dtype_of(each) == np.float64 for each in equation.outputs))
+            or any(self._holds(inner, or_hides) for inner in programs_in(equation.params))
             for equation in map(_equation, getattr(program, "jaxpr", program).eqns)
         )
 
