@@ -51,21 +51,20 @@ def rows(example: int, file: str) -> dict[str, Any]:
     return {}
 
 
-def speed(example: int, batch: int, runs: int, vectorise: bool = True) -> dict[str, Any]:
+def speed(example: int, batch: int, runs: int) -> dict[str, Any]:
     """Runs a second, once compiled, in blocks of one size; and the memory that was held at most."""
     import jax
 
     import qsmc_jax as qj
 
-    settings, study = qj.SolverSettings(vectorise=vectorise), _study(example)
-    block = -(-batch // 64) * 64
+    study, block = _study(example), -(-batch // 64) * 64
     threads = None if jax.default_backend() == "cpu" else 1
     begin = time.perf_counter()
-    qj.monte_carlo(study, block, seed=1, block=block, threads=threads, settings=settings)
+    qj.monte_carlo(study, block, seed=1, block=block, threads=threads)
     first = time.perf_counter() - begin
     count = max(1, round(runs / block)) * block
     begin = time.perf_counter()
-    table = qj.monte_carlo(study, count, block=block, threads=threads, settings=settings)
+    table = qj.monte_carlo(study, count, block=block, threads=threads)
     seconds = time.perf_counter() - begin
     lanes = table["steps"].sum() / (table["steps"].reshape(-1, block).max(axis=1) * block).sum()
     memory = (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**20
@@ -191,9 +190,6 @@ def main() -> None:
                     f"example {example}: plain diffrax, batch {batch}",
                     session.do("plain", example=example, batch=batch),
                 )
-        batch = min(100_000, asked.largest)
-        plainly = {"example": example, "batch": batch, "runs": batch, "vectorise": False}
-        keep(f"example {example}: batch {batch}, native sines", session.do("speed", **plainly))
 
 
 if __name__ == "__main__":
