@@ -156,7 +156,7 @@ def compared(session: Session, example: int) -> dict[str, Any]:
 
 def main() -> None:
     """All parts, the most telling first."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--part", help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, help="JSON file to write")
     parser.add_argument("--budget", type=float, default=BUDGET, help="seconds to spend at most")
