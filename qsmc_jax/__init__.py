@@ -137,9 +137,8 @@ def __getattr__(name: str) -> Any:
     elif name in _HOMES:
         value = getattr(importlib.import_module(_HOMES[name]), name)
     else:
-        from qsmc_jax.base.checks import nearest
-
-        raise AttributeError(f"Module `qsmc_jax` has no attribute `{name}`.{nearest(name, __all__)}")
+        hint = importlib.import_module("qsmc_jax.base.checks").nearest(name, __all__)
+        raise AttributeError(f"Module `qsmc_jax` has no attribute `{name}`.{hint}")
     globals()[name] = value
     return value
 

@@ -1,6 +1,6 @@
 """`python -m qsmc_jax` is the program `qsmc`."""
 
-from qsmc_jax.cli.main import app
+from qsmc_jax.cli.main import main
 
 if __name__ == "__main__":
-    app(prog_name="qsmc")
+    main()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.signal
 
 import problems
 import qsmc_jax as qj
@@ -100,8 +101,11 @@ def test_peak_ratio_agrees_with_dense_sampling(sampled):
 
 
 def test_settle_time_is_the_end_of_the_last_step_outside_the_error_bounds(problem, run):
-    # The largest error that |sigma| < epsilon permits is epsilon p(0)^-1: the poles, at -2, are real.
-    assert run.error_bounds[0] == pytest.approx(problem.bandwidth / 2.0 ** (problem.loop.order - 1), rel=1e-6)
+    # The largest error that |sigma| < epsilon permits is epsilon times the L1 norm of the impulse response.
+    residues, poles, _ = scipy.signal.residue([1.0], [1.0, *np.asarray(problem.loop.control.surface.c)[::-1]])
+    times = np.linspace(0.0, 60.0, 600_001)
+    norm = np.trapezoid(np.abs((np.exp(np.outer(times, poles)) @ residues).real), times)
+    assert run.error_bounds[0] == pytest.approx(problem.bandwidth * norm, rel=1e-6)
     outside = run.ts[np.any(np.abs(run.e) >= run.error_bounds, axis=1)]
     assert outside[-1] <= float(run.figures.settle_time) <= outside[-1] + 0.05
 

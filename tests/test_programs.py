@@ -17,6 +17,7 @@ import qsmc_jax as qj
 from qsmc_jax.base import programs, self_test, vectorise
 from qsmc_jax.base.programs import Rewriter, UnknownProgramError, called, evaluated, loop, parts
 from qsmc_jax.base.vectorise import is_vectorised, vectorised, why_not_vectorised
+from qsmc_jax.cli.console import say
 from qsmc_jax.cli.main import app
 from qsmc_jax.cli.session import session
 from qsmc_jax.model.derivatives import time_derivatives
@@ -173,7 +174,7 @@ def test_an_operation_that_nobody_can_look_into_may_hold_a_slow_function_if_it_m
 def test_a_command_says_once_that_solves_are_slow_if_they_are(capsys, rewriter, problem):
     rewriter._problem = problem
     with session(cache=False):
-        print("{}")
+        say("{}")
     said = capsys.readouterr()
     assert said.out == "{}\n"
     assert said.err.count("Solves are right but slow") == (1 if problem else 0)

@@ -12,5 +12,5 @@ class InputError(ValueError):
         ...     qj.Funnel(rho0=1.0, mu=-1.0, rho_inf=0.1)
         ... except qj.InputError as error:
         ...     print(error)
-        Argument `mu` must be positive, but is -1.0.
+        Argument `mu` must be positive and finite, but is -1.
     """

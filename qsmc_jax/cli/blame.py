@@ -7,6 +7,8 @@ from pathlib import Path
 
 from qsmc_jax.base.errors import InputError
 
+# Of what other errors say, so much is shown.
+_LONGEST = 400
 _OURS = str(Path(__file__).resolve().parents[1])
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 
@@ -38,8 +40,8 @@ def told(error: BaseException) -> str:
         return str(error)
     if isinstance(error, SystemExit):
         return "a study must not end the program, but calls `sys.exit`."
-    lines = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
 
 
 def is_library(file: str) -> bool:

@@ -5,16 +5,16 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TextIO
+from typing import Any
 
 # Control characters, and marks that turn the direction of writing.
 _COMMANDING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 # Where results go; the last one counts.
-_RESULTS: list[TextIO] = []
+_RESULTS: list[Any] = []
 
 
 @contextlib.contextmanager
-def results_to(file: TextIO) -> Iterator[None]:
+def results_to(file: Any) -> Iterator[None]:
     """Has `say` print to a file, wherever standard output goes meanwhile."""
     _RESULTS.append(file)
     try:

@@ -4,6 +4,8 @@ What the exit codes mean is said in `program.py`.
 """
 
 import contextlib
+import os
+import sys
 from functools import partial
 from typing import Annotated
 
@@ -12,7 +14,8 @@ import typer
 from qsmc_jax import __version__
 from qsmc_jax.cli.campaign_commands import register_campaign
 from qsmc_jax.cli.console import say, waiting
-from qsmc_jax.cli.exit_codes import HELD, MEANING, VIOLATED, code_of
+from qsmc_jax.cli.exit_codes import HELD, MEANING, UNDECIDED, VIOLATED, code_of
+from qsmc_jax.cli.interrupts import obeying
 from qsmc_jax.cli.newcomer_commands import register_newcomer
 from qsmc_jax.cli.options import Atol, Cache, Json, MaxSteps, Method, Out, Overrides, Rtol, Seed, StudyFile
 from qsmc_jax.cli.program import Program
@@ -123,3 +126,17 @@ register(app)
 register_campaign(app)
 register_newcomer(app)
 app.command("tune")(tune_study)
+
+
+def main() -> None:
+    """The program as a process of its own, in which signals are obeyed to the end."""
+    with obeying():
+        try:
+            app(prog_name="qsmc")
+        except SystemExit as end:
+            if end.code == UNDECIDED:
+                # An interruption leaves threads at work, for which Python would wait.
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(UNDECIDED)
+            raise

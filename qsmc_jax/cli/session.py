@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 from qsmc_jax.cli.cache import keep_compiled_programs
 from qsmc_jax.cli.console import results_to, say
-from qsmc_jax.cli.interrupts import obeying
 
 
 @contextlib.contextmanager
@@ -19,7 +18,7 @@ def session(cache: bool) -> Iterator[None]:
     """
     if cache:
         keep_compiled_programs()
-    with obeying(), warnings.catch_warnings(), results_to(sys.stdout), contextlib.redirect_stdout(sys.stderr):
+    with warnings.catch_warnings(), results_to(sys.stdout), contextlib.redirect_stdout(sys.stderr):
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, *_: say(f"qsmc: {message}", is_error=True)
         try:

@@ -35,10 +35,7 @@ def tune_study(
     against: Annotated[str | None, typer.Option(help="Second objective, for a Pareto front of two gains.")] = None,
     runs: Annotated[int, typer.Option(help="Training runs of each evaluation.")] = 256,
     method: Annotated[Literal["slsqp", "adam", "bfgs"], typer.Option(help="Method of descent.")] = "slsqp",
-    mode: Annotated[
-        Literal["forward", "reverse"],
-        typer.Option(help="Differentiation; reverse for many gains."),
-    ] = "forward",
+    mode: Annotated[Literal["forward", "reverse"], typer.Option(help="Differentiation of the simulation.")] = "forward",
     steps: Annotated[int, typer.Option(help="Steps of a descent at most.")] = 50,
     starts: Annotated[int, typer.Option(help="Starting points, the study's own among them.")] = 4,
     descents: Annotated[int, typer.Option(help="From how many of them to descend.")] = 1,
@@ -71,8 +68,7 @@ def tune_study(
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             source = Source.read(study_file)
-            study = load_study(source, overrides or [])
-            parameters = tuple(part.strip() for part in names.split(","))
+            study, parameters = load_study(source, overrides or []), tuple(part.strip() for part in names.split(","))
             settings = SolverSettings(rtol, atol, max_steps, adjoint=mode)
             solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
             how: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}

@@ -211,7 +211,7 @@ def coloured(
     """
     sizes = as_float64(amplitude)
     require_nonnegative("amplitude", sizes)
-    sines = (random_sines(draw, f"{name}[{i}]", 1.0, terms, frequencies) for i in range(sizes.shape[0]))
+    sines = (random_sines(draw, f"{name}.{i}", 1.0, terms, frequencies) for i in range(sizes.shape[0]))
     return Signals(signals=tuple(sizes[i] * sine for i, sine in enumerate(sines)))
 
 
