@@ -56,7 +56,7 @@ def _is_hashable(key: Any) -> bool:
 
 @contextlib.contextmanager
 def traceable(what: str, values: str) -> Iterator[None]:
-    """Turns JAX's errors about tracers into a `ValueError` that says what to write instead.
+    """Turns JAX's errors about tracers into an `InputError` that says what to write instead.
 
     Args:
         what: The function, as the subject of the message.

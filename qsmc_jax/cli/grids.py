@@ -71,7 +71,7 @@ def _range(text: str, values: str) -> "np.ndarray":
     return np.geomspace(low, high, count) if kind == "log" else np.linspace(low, high, count)
 
 
-def _bad_grid(text: str) -> ValueError:
+def _bad_grid(text: str) -> InputError:
     return InputError(
         "Argument `--over` must be name=lo:hi:log:N, name=lo:hi:lin:N or name=v1,v2,v3, such as "
         f"sample_period=1e-4:0.1:log:24, but is `{text}`."

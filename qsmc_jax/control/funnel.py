@@ -84,7 +84,7 @@ class Funnel(AbstractModule):
         return (self.rho0 > 0) & (self.mu > 0) & (self.rho_inf > 0)
 
     def check_bandwidth(self, bandwidth: RealScalarLike) -> None:
-        """Raises `ValueError` unless condition C2 holds; traced numbers pass.
+        """Raises `InputError` unless condition C2 holds; traced numbers pass.
 
         Args:
             bandwidth: Bandwidth of the quasi-sliding mode, in units of the sliding variable.

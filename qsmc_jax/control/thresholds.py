@@ -13,7 +13,7 @@ Each limit says what it is worth:
 - SUFFICIENT: every run that meets the bounds keeps the funnel.
 - NECESSARY: beyond it some admissible run leaves the funnel.
 
-Numbers only, nothing traced; results are Python floats. Arguments out of range raise `ValueError`.
+Numbers only, nothing traced; results are Python floats. Arguments out of range raise `InputError`.
 """
 
 import math

@@ -254,7 +254,7 @@ class Implementation(AbstractModule):
         return ft.reduce(jnp.logical_and, claims)
 
     def check(self, order: int, horizon: RealScalarLike) -> None:
-        """Raises `ValueError` unless it fits a plant of the given order and a horizon [s]; traced numbers pass.
+        """Raises `InputError` unless it fits a plant of the given order and a horizon [s]; traced numbers pass.
 
         Args:
             order: Order n of the plant.

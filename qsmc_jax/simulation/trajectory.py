@@ -248,7 +248,7 @@ def simulate_drawn(
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
-    """Raises `ValueError` unless the start and the horizon fit the loop, and its reference's derivatives one another.
+    """Raises `InputError` unless the start and the horizon fit the loop, and its reference's derivatives one another.
 
     Traced numbers pass.
     """
@@ -261,7 +261,7 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
 
 
 def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
-    """Raises `ValueError` if what the user wrote can't be solved as it stands; traced numbers pass.
+    """Raises `InputError` if what the user wrote can't be solved as it stands; traced numbers pass.
 
     A plant must not jump in the state, and every function must be finite. A scenario alone is not asked: in a run of a
     study such things are an outcome, and it must be possible to look at it.

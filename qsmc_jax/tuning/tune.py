@@ -7,6 +7,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from qsmc_jax.base.checks import require, require_count, require_fraction, require_list
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import BLOCK, Progress
 from qsmc_jax.study.study import Study
@@ -168,7 +169,7 @@ def _has_maximum(batch: Batch) -> bool:
     return any(term.statistic in ("worst", "least") for part in parts for term in part.terms)
 
 
-class _Infeasible(ValueError):
+class _Infeasible(InputError):
     """No gains were found that keep the constraints."""
 
 
