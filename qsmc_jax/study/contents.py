@@ -56,6 +56,10 @@ def _functions(loop: ClosedLoop) -> dict[str, str]:
             (number,),
         ),
     }
-    for i, signal in enumerate(() if loop.implementation is None else loop.implementation.unmatched):
-        parts[f"unmatched disturbance {i} `{type(signal).__name__}`"] = (signal, lambda d, t: d(t), (number,))
+    if loop.implementation is not None:
+        noise, count = loop.implementation.noise, jax.ShapeDtypeStruct((), np.int64)
+        for i, signal in enumerate(loop.implementation.unmatched):
+            parts[f"unmatched disturbance {i} `{type(signal).__name__}`"] = (signal, lambda d, t: d(t), (number,))
+        if noise is not None:
+            parts[f"noise `{type(noise).__name__}`"] = (noise, lambda noise, t, k: noise(t, k), (number, count))
     return {name: digest(trace(name, "its arguments", *part[:2], *part[2])[0]) for name, part in parts.items()}
