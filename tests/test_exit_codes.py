@@ -148,3 +148,23 @@ def test_a_reader_who_has_gone_changes_nothing(tmp_path):
 def test_version_and_module():
     done = subprocess.run([sys.executable, "-m", "qsmc_jax", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("qsmc_jax ")
+
+
+@pytest.mark.parametrize(
+    ("options", "argument"),
+    [(["--runs", "0"], "runs"), (["--block", "63"], "block"), (["--confidence", "nan"], "confidence")],
+)
+def test_a_folder_is_not_prepared_for_what_cannot_be_done(tmp_path, options, argument):
+    done = qsmc("verify", STUDY, "--out", tmp_path / "run", "--prepare", "--no-cache", *options)
+    assert done.exit_code == 2, done.output
+    assert f"`{argument}`" in done.output
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_without_docstrings_and_without_a_home(tmp_path):
+    """`python -OO`, as a user whom no password file knows and who has no home."""
+    environment = {"PATH": "", "XDG_CACHE_HOME": "", "HOME": "", "PYTHONPATH": str(Path(__file__).parents[1])}
+    command = [sys.executable, "-OO", "-m", "qsmc_jax", "verify", STUDY, *SMALL, "--out", str(tmp_path / "run")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

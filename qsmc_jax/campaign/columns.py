@@ -37,5 +37,5 @@ def _figures() -> dict[str, str]:
             name, separator, text = entry.strip().partition(": ")
             if separator:
                 texts[name] = " ".join(text.split())
-    texts["peak_error"] = texts.pop("peak_errors")
+    texts["peak_error"] = texts.pop("peak_errors", "")  # `python -OO` leaves no docstrings
     return texts

@@ -57,6 +57,9 @@ class Recipe:
     threads: int | None = None
     files: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
+    def __post_init__(self):
+        Lanes(self.study, self.settings, self.block)  # checks them
+
     @ft.cached_property
     def identity(self) -> dict[str, Any]:
         """What changes the rows, as plain values by name.

@@ -17,7 +17,11 @@ def keep_compiled_programs() -> None:
     """
     import jax
 
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
+    try:
+        folder = str(cache_folder())
+    except (RuntimeError, KeyError, OSError):  # nobody's home is known: a container, say
+        return
+    jax.config.update("jax_compilation_cache_dir", folder)
     # By default JAX keeps nothing that compiles in less than a second.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -62,9 +62,11 @@ def verify_study(
         from qsmc_jax import SolverSettings
         from qsmc_jax.campaign.campaign import prepare as prepare_folder
         from qsmc_jax.report.provenance import provenance
+        from qsmc_jax.verification.evidence import check_request
 
         settings = SolverSettings(rtol, atol, max_steps, method)
         rule = _rule(until_below, until_width, sprt)
+        check_request(runs, confidence, worst, rule)
         recipe = recipe_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
         if out is None and (fresh or prepare or scheduler or workers):
             raise InputError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
