@@ -81,6 +81,7 @@ ROUTES = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow
 @METHODS
 @SIGNS
 @ROUTES

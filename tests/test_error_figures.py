@@ -152,6 +152,7 @@ def each(n, method, preset):
         yield truth(n, number), solved(n, number, method, preset), {name: share * tol for name, tol in rtol.items()}
 
 
+@pytest.mark.slow
 @PRESETS
 @LOOPS
 def test_suprema_are_scipys(n, method, preset):

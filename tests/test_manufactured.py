@@ -82,6 +82,7 @@ ORDERS = pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.
 PEAKS = pytest.mark.parametrize("peak", [0.1, 0.7, 0.99])
 
 
+@pytest.mark.slow
 @PEAKS
 @ORDERS
 def test_peak_ratio_with_the_tight_preset(order, peak):
@@ -113,6 +114,7 @@ def test_states_are_the_chosen_ones(order):
     np.testing.assert_allclose(made.run.x[::100], made.states, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8])
 @ORDERS
 def test_margin_of_a_millionth_keeps_its_digits(order, rtol):

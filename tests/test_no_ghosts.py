@@ -37,6 +37,7 @@ def check_held(rho_inf, rtol, runs, block):
     np.testing.assert_allclose(table["peak_ratio"], true_peaks(rho_inf, runs, block), rtol=20 * rtol)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", RTOL)
 @pytest.mark.parametrize("rho_inf", [pytest.param(RHO_INF[0], marks=pytest.mark.slow), *RHO_INF[1:]])
 def test_example1_is_held_from_random_starts(rho_inf, rtol):

@@ -214,6 +214,7 @@ def test_the_signals_are_those_of_the_independent_program(case):
         np.testing.assert_allclose(ours.u[i], u, rtol=0.0, atol=1000 * case.error)
 
 
+@pytest.mark.slow
 def test_the_ideal_loop_is_met_in_the_first_order_of_the_period():
     ideal = qj.simulate(qj.paper.example1(), [0.1, 0.1], HORIZON, bandwidth=BANDWIDTH, settings=qj.tight()).figures
     periods = 4e-3 * 0.5 ** np.arange(4)

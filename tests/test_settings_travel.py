@@ -48,6 +48,7 @@ def test_a_command_has_every_digit_of_what_is_not_the_default(settings, options)
     assert shlex.join(solver_options(settings)) == options
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [["--max-steps", "25"], ["--rtol", "0.05"], ["-S", "gain_sign=-1"], ["-S", "mu=1.4142135623730951"]]
 )

@@ -71,6 +71,7 @@ def test_a_push_of_two_milliseconds(method):
     known(Case(where=D, at=7.08, width=0.002, height=60.0), method, "HELD", peak_ratio=0.989443, peak_u=60.2989)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("level", "peak", "variation"), [(20.0, 0.97707, 35.298), (25.0, 0.98089, 41.413)])
 def test_a_large_constant_push(level, peak, variation):
     known(Case(level=level), "rodas5p", "HELD", peak_ratio=peak, total_variation_u=variation)
@@ -262,6 +263,7 @@ class OneOf(qj.AbstractDisturbance):
 ALL = {name: tuple(f for f, _, _ in group.values()) for name, group in (("bends", BENDS), ("jumps", JUMPS))}
 
 
+@pytest.mark.slow
 @METHODS
 @pytest.mark.parametrize(
     ("group", "number"), [(n, k) for n, fs in ALL.items() for k in range(len(fs))], ids=[*BENDS, *JUMPS]
@@ -348,6 +350,7 @@ def test_a_study_of_a_push_inside_a_hold_leaves_in_every_run(runs):
     assert found.claims[0].violated == runs
 
 
+@pytest.mark.slow
 def test_a_function_in_a_field_is_solved():
     """What is part of a loop and no number, such as the function of a reference, stands in no one's way."""
     loop = dataclasses.replace(Case().loop(), reference=qj.references.Smooth(lambda t: 0.5 * jnp.tanh(t - 5.0)))

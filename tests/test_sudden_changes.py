@@ -18,6 +18,7 @@ PEAK = 1e-3  # of z = |sigma| / rho
 METHODS = pytest.mark.parametrize("method", ["tsit5", pytest.param("rodas5p", marks=pytest.mark.slow)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "count",
     [64, *(pytest.param(k, marks=pytest.mark.slow) for k in (50, 100, 1000))],
@@ -102,6 +103,7 @@ WAYS = pytest.mark.parametrize(
 TIMES = [0.0133, 5.0, 5.0132, 9.999999]
 
 
+@pytest.mark.slow
 @WAYS
 def test_a_set_point_that_jumps_out_of_the_funnel_is_a_violation(n, method, is_declared):
     for at in TIMES[1:]:

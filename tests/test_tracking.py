@@ -70,6 +70,7 @@ def test_an_excursion_that_is_over_before_the_settling_time_breaks_nothing(t1):
     assert claims(pushed) == [HELD] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("implementation", [None, qj.Implementation(0.005)], ids=["ideal", "sampled"])
 @pytest.mark.parametrize(("t1", "expected"), [(1.4, [UNDECIDED] * 2), (50.0, [HELD, UNDECIDED]), (130.0, [HELD] * 2)])
 def test_a_horizon_up_to_the_settling_time_decides_nothing_about_tracking(implementation, t1, expected):

@@ -82,6 +82,7 @@ def test_a_wrong_gain_sign_is_violated_and_confirmed():
     assert "gain_sign" in found.conclusion()
 
 
+@pytest.mark.slow
 def test_a_solve_that_fails_is_undecided_and_widens_the_interval():
     """Three steps are too few for anything, on every rung: nothing held, nothing dropped, nothing known."""
     found = qj.verify(study, BLOCK, block=BLOCK, settings=qj.SolverSettings(max_steps=1))

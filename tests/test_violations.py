@@ -137,6 +137,7 @@ def wrong_sign_from(draw):
     return qj.Scenario(loop, x0=[draw.uniform("z0", 0.05, 0.98) * start * problems.WIDTH], t1=20.0)
 
 
+@pytest.mark.slow
 # Near the end s grows without bound and what it is off with it: the derivative has some digits less than the time.
 @pytest.mark.parametrize(
     ("mode", "preset", "rtol"),
