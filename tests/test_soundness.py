@@ -77,7 +77,8 @@ def test_a_large_constant_push(level, peak, variation):
     known(Case(level=level), "rodas5p", "HELD", peak_ratio=peak, total_variation_u=variation)
 
 
-@pytest.mark.parametrize("method", ["rodas5p", "auto", pytest.param("tsit5", marks=pytest.mark.slow)])
+# Held within its region of stability the explicit method would take a million steps, ten times what it is given.
+@pytest.mark.parametrize("method", ["rodas5p", "auto"])
 @pytest.mark.parametrize(("level", "sign"), [(50.0, 1.0), (-50.0, -1.0)])
 def test_a_push_that_is_larger_still(level, sign, method):
     """The input rises to its peak once, and comes back to d, whatever the sign of the gain."""
