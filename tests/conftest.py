@@ -1,6 +1,8 @@
 """What every test runs under: 64 bits, no silent promotion, checked annotations, reproducible examples."""
 
+import itertools
 import os
+from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # The processes of pytest-xdist share the cores between them. To be set before JAX and NumPy start their threads.
@@ -10,6 +12,7 @@ import hypothesis
 import jax
 import jaxtyping
 import matplotlib as mpl
+import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -22,3 +25,18 @@ jaxtyping.install_import_hook("qsmc_jax", "beartype.beartype")
 
 hypothesis.settings.register_profile("default", deadline=None, derandomize=True, max_examples=50, database=None)
 hypothesis.settings.load_profile("default")
+
+# Each compiled program takes some dozens of the 65530 pieces of memory that Linux maps for a process: then XLA aborts.
+_MAPS, _MOST_MAPS, _EVERY = Path("/proc/self/maps"), 25_000, 20
+_tests = itertools.count(1)
+
+
+@pytest.fixture(autouse=True)
+def few_programs():
+    """Forgets compiled programs once a process holds very many."""
+    yield
+    if next(_tests) % _EVERY == 0 and _MAPS.exists() and _MAPS.read_bytes().count(b"\n") > _MOST_MAPS:
+        from qsmc_jax.study import lanes
+
+        lanes._compiled.cache_clear()
+        jax.clear_caches()
