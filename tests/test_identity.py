@@ -17,9 +17,10 @@ from typer.testing import CliRunner
 
 import qsmc_jax as qj
 from qsmc_jax.campaign import atomic
-from qsmc_jax.campaign.blocks import block_files
+from qsmc_jax.campaign.blocks import BlockFile, block_files
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.cli.main import app
+from qsmc_jax.cli.study_file import Source, load_study
 from qsmc_jax.study.contents import contents
 from tests.studies_for_tests import study
 
@@ -128,6 +129,38 @@ def test_contents_are_the_same_in_every_process():
     assert said == {f"{contents(study)}\n"}
 
 
+NESTED = """
+import jax
+import qsmc_jax as qj
+from tests.studies_for_tests import Integrator
+
+{comment}
+def scenario(draw):
+    twice = lambda fn: lambda t: fn(fn(t))
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.1))
+    smooth = qj.references.Smooth(lambda t: 0.1 * jax.nn.softplus(twice(lambda s: s + {number})(t)))
+    loop = qj.ClosedLoop(Integrator(1.0), smooth, qj.disturbances.Zero(), control)
+    return qj.Scenario(loop, x0=[0.1], t1=4.0)
+
+study = qj.Study(scenario, 0.5)
+"""
+
+
+def loop_of(folder, comment, number):
+    """What a file computes whose functions are made by functions."""
+    folder.mkdir()
+    path = folder / "study.py"
+    path.write_text(NESTED.format(comment=comment, number=number))
+    return contents(load_study(Source.read(path), []))
+
+
+def test_neither_comments_nor_the_place_of_a_file_are_part_of_the_study(tmp_path):
+    first = loop_of(tmp_path / "a", "", 1.0)
+    assert loop_of(tmp_path / "b", "# a comment\n# of two lines", 1.0) == first
+    changed = loop_of(tmp_path / "c", "", 1.5)
+    assert {part for part in first if first[part] != changed[part]} >= {"reference `Smooth`"}
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """Two campaigns of 128 runs, of other seeds, in blocks of 64."""
@@ -144,6 +177,40 @@ def folder(runs, tmp_path):
 
 def rows_of(folder):
     return pq.read_table(folder / "blocks").sort_by("index").to_pydict()
+
+
+def test_rows_of_a_range_are_read_from_its_files_alone(folder, monkeypatch):
+    read, files = BlockFile.read, []
+    monkeypatch.setattr(BlockFile, "read", lambda file, owner: files.append(file.start) or read(file, owner))
+    run = qj.campaign.RunFolder(folder)
+    assert [len(table) for table in run.tables(64, 128)] == [64]
+    assert [len(table) for table in run.tables(100, 101)] == [1]
+    assert files == [64, 64]
+
+
+@pytest.mark.parametrize(("most", "starts"), [(None, [0, 64]), (1, [0]), (2, [0, 64]), (9, [0, 64])])
+def test_of_many_blocks_some_are_read(folder, most, starts):
+    assert [file.start for file, _ in qj.campaign.RunFolder(folder).blocks(most)] == starts
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_two_who_make_a_folder_at_once_agree_or_one_is_refused(tmp_path, monkeypatch, seed):
+    """The other one is quicker by a hair: his folder is there when ours should get its name."""
+    others, mine = (Recipe(study, STUDY.read_bytes(), seed=each, block=64, threads=1) for each in (1, seed))
+    rename, out = os.rename, tmp_path / "run"
+
+    def late(source, target):
+        monkeypatch.setattr(os, "rename", rename)
+        qj.campaign.prepare(out, others)
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", late)
+    if seed == 1:
+        assert qj.campaign.prepare(out, mine).manifest["identity"]["seed"] == 1
+    else:
+        with pytest.raises(qj.InputError, match=r"`seed` \(1 there, 2 now\)"):
+            qj.campaign.prepare(out, mine)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 def continued(folder):
@@ -276,7 +343,7 @@ def test_sessions_and_files_of_the_dead_are_swept(folder):
     session = run.begin_session({})
     session.about["process"] = dead
     session.write("running")
-    left = folder / "blocks" / f".x.parquet.{atomic.platform.node().replace('.', '_')[:40]}.{dead}.00000000.tmp"
+    left = folder / "blocks" / f".x.parquet.{atomic.machine()}.{dead}.00000000.tmp"
     alive = left.with_name(left.name.replace(str(dead), str(os.getpid())))
     left.write_text("half")
     alive.write_text("half")

@@ -69,8 +69,5 @@ def _feed(hashed: Any, value: Any) -> None:
 
 
 def _text(value: Any) -> str:
-    """What a value is, without where it is in memory; a function of Python by its code."""
-    code = getattr(value, "__code__", None)
-    if code is not None:
-        return f"{value.__qualname__} {code.co_code.hex()} {_ADDRESS.sub('', repr(code.co_consts))}"
+    """What a value is, without where it is in memory."""
     return _ADDRESS.sub("", repr(value))

@@ -6,6 +6,7 @@ import platform
 import shutil
 import uuid
 from pathlib import Path
+from typing import Any
 
 from qsmc_jax.base.errors import InputError
 
@@ -39,8 +40,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def temporary_beside(path: Path) -> Path:
     """A new hidden name beside a file or folder, which says what process it is of."""
-    mine = f"{platform.node().replace('.', '_')[:40]}.{os.getpid()}.{uuid.uuid4().hex[:8]}"
-    return path.with_name(f".{path.name[:100]}.{mine}.tmp")
+    return path.with_name(f".{path.name[:100]}.{machine()}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
 
 
 def remove_leftovers(folder: Path, name: str = "") -> None:
@@ -59,10 +59,14 @@ def remove_leftovers(folder: Path, name: str = "") -> None:
             shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
 
 
-def is_dead(machine: str | None, process: int | None) -> bool:
+def machine() -> str:
+    """The name of this machine, short and without dots, to stand in names of files."""
+    return platform.node().replace(".", "_")[:40]
+
+
+def is_dead(where: str, process: Any) -> bool:
     """Whether a process is known to be gone: it was of this machine, and has ended."""
-    here = platform.node()
-    if machine not in (here, here.replace(".", "_")[:40]) or not isinstance(process, int):
+    if where != machine() or not isinstance(process, int):
         return False
     try:
         os.kill(process, 0)

@@ -57,14 +57,14 @@ class BlockFile:
             table = pq.read_table(pa.BufferReader(content))
             about = json.loads((table.schema.metadata or {})[_KEY])
             columns = {name: table[name].to_numpy() for name in table.column_names}
-            names, runs, index = tuple(about["names"]), tuple(about["runs"]), columns["index"]
-            owner = about["fingerprint"]
+            names, index, owner = tuple(about["names"]), columns["index"], about["fingerprint"]
+            start, stop = about["runs"]
         except (pa.ArrowException, KeyError, TypeError, ValueError) as error:
             raise BlockError(f"is no block of rows ({type(error).__name__}: {error})") from None
         if owner != fingerprint:
             raise BlockError(f"is of another campaign (fingerprint {owner} there, {fingerprint} here)")
-        if runs != (self.start, self.stop) or not np.array_equal(index, np.arange(self.start, self.stop)):
-            raise BlockError(f"has the runs {runs[0]} to {runs[-1] - 1}, not those of its name")
+        if (start, stop) != (self.start, self.stop) or not np.array_equal(index, np.arange(self.start, self.stop)):
+            raise BlockError(f"has the runs {start} to {stop - 1}, not those of its name")
         return Block(Runs(columns, names), about)
 
 

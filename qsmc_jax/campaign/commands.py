@@ -17,13 +17,9 @@ def solver_options(settings: SolverSettings) -> list[str]:
     """
     given = {"--rtol": settings.rtol, "--atol": settings.atol, "--max-steps": settings.max_steps}
     given["--method"] = settings.method
+    usual = SolverSettings()
     # The absolute tolerance follows from the relative one unless it is given.
-    defaults = [
-        SolverSettings().rtol,
-        SolverSettings(settings.rtol).atol,
-        SolverSettings().max_steps,
-        SolverSettings().method,
-    ]
+    defaults = usual.rtol, SolverSettings(settings.rtol).atol, usual.max_steps, usual.method
     options = []
     for (option, value), default in zip(given.items(), defaults, strict=True):
         if value != default:

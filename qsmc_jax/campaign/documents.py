@@ -45,10 +45,21 @@ def read_document(path: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
         raise InputError(f"File `{path}` can't be read: {error}.") from None
     if not isinstance(content, dict):
         raise InputError(f"File `{path}` must hold a JSON object, but holds a `{type(content).__name__}`.")
+    require_keys(content, keys, f"File `{path}`")
+    return content
+
+
+def require_keys(content: Mapping[str, Any], keys: Mapping[str, Any], place: str) -> None:
+    """Raises, with the key, unless what must be there is, and of its type.
+
+    Args:
+        content: What was read.
+        keys: The type, or types, of what must be there, by name.
+        place: Where it was read, as the subject of the message.
+    """
     for key, kinds in keys.items():
         if key not in content:
-            raise InputError(f"File `{path}` must have the key `{key}`, but has not.")
+            raise InputError(f"{place} must have the key `{key}`, but has not.")
         if not isinstance(content[key], kinds) or (isinstance(content[key], bool) and kinds is not bool):
             wanted = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
-            raise InputError(f"Key `{key}` of file `{path}` must be of type {wanted}, but is {content[key]!r:.80}.")
-    return content
+            raise InputError(f"{place} must have a `{key}` of type {wanted}, but has {content[key]!r:.80}.")

@@ -4,7 +4,6 @@ import dataclasses
 import datetime
 import json
 import os
-import platform
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -13,9 +12,9 @@ from typing import Any
 
 from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.campaign.atomic import is_dead, remove_leftovers, temporary_beside, write_whole
+from qsmc_jax.campaign.atomic import is_dead, machine, remove_leftovers, temporary_beside, write_whole
 from qsmc_jax.campaign.blocks import Block, BlockError, BlockFile, block_files, gaps, write_block
-from qsmc_jax.campaign.documents import IDENTITY, MANIFEST, REQUEST, SESSION, SUMMARY, read_document
+from qsmc_jax.campaign.documents import IDENTITY, MANIFEST, REQUEST, SESSION, SUMMARY, read_document, require_keys
 from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
 from qsmc_jax.study.draw import DrawSpec
 from qsmc_jax.study.runs import Runs
@@ -61,7 +60,7 @@ class RunFolder:
             provenance: Versions, machine and time, plain values.
 
         Raises:
-            InputError: The folder has something else in it, or can't be made.
+            InputError: The folder has something else in it, or can't be made, or somebody makes it for another study.
         """
         require_count("file_runs", file_runs)
         remove_leftovers(path.parent, path.name)
@@ -83,7 +82,7 @@ class RunFolder:
                 "identity": recipe.identity,
                 "study_file": study_file,
                 "study_path": str(Path(study_file).resolve()),
-                "machine": platform.node(),
+                "machine": machine(),
                 "files": dict(recipe.files),
                 "file_runs": file_runs,
                 "provenance": dict(provenance),
@@ -94,7 +93,9 @@ class RunFolder:
         except OSError as error:
             shutil.rmtree(new, ignore_errors=True)
             if cls(path).exists:
-                return cls.open(path)
+                made = cls.open(path)
+                made.check(recipe)
+                return made
             message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
             raise InputError(message) from None
         except BaseException:
@@ -130,9 +131,9 @@ class RunFolder:
     @property
     def manifest(self) -> dict[str, Any]:
         """What is known of the whole campaign; never changed."""
-        manifest = read_document(self.path / "manifest.json", MANIFEST)
-        missing = [key for key, kinds in IDENTITY.items() if not isinstance(manifest["identity"].get(key), kinds)]
-        require(not missing, f"Key `identity` of file `{self.path / 'manifest.json'}` has no `{''.join(missing[:1])}`.")
+        path = self.path / "manifest.json"
+        manifest = read_document(path, MANIFEST)
+        require_keys(manifest["identity"], IDENTITY, f"Key `identity` of file `{path}`")
         return manifest
 
     @property
@@ -153,7 +154,7 @@ class RunFolder:
         """
         manifest = self.manifest
         there, now = manifest["files"], recipe.files
-        changed = [f"`{name}`" for name in {**there, **now} if there.get(name) != now.get(name)] if there or now else []
+        changed = [f"`{name}`" for name in {**there, **now} if there.get(name) != now.get(name)]
         hint = f" Of what the study read, {', '.join(changed)} is not what it was." if changed else ""
         require_same(manifest["identity"], recipe.identity, str(self.path), hint)
 
@@ -231,22 +232,28 @@ class RunFolder:
             start: First run.
             stop: Run after the last; None for all.
         """
-        reached = start
-        for file, block in self.blocks():
+        reached, owner = start, self.fingerprint
+        for file in block_files(self.path / "blocks"):
             if (stop is not None and file.start >= stop) or file.stop <= reached:
                 continue
-            index = block.rows["index"]
-            yield block.rows.take((index >= reached) & (index < (file.stop if stop is None else stop)))
-            reached = file.stop
+            block = _read(file, owner)
+            if block is not None:
+                index = block.rows["index"]
+                yield block.rows.take((index >= reached) & (index < (file.stop if stop is None else stop)))
+                reached = file.stop
 
-    def blocks(self) -> Iterator[tuple[BlockFile, Block]]:
-        """All blocks, by their range; what is none of the campaign's is passed over, with a warning."""
-        owner = self.fingerprint
-        for file in block_files(self.path / "blocks"):
-            try:
-                yield file, file.read(owner)
-            except BlockError as fault:
-                warnings.warn(f"File `{file.path}` {fault}: passed over.", stacklevel=3)
+    def blocks(self, most: int | None = None) -> Iterator[tuple[BlockFile, Block]]:
+        """The blocks, by their range; what is none of the campaign's is passed over, with a warning.
+
+        Args:
+            most: Of more than so many, some that are spread evenly; None for all.
+        """
+        files, owner = block_files(self.path / "blocks"), self.fingerprint
+        stride = -(-len(files) // most) if most else 1
+        for file in files[:: max(stride, 1)]:
+            block = _read(file, owner)
+            if block is not None:
+                yield file, block
 
     def effort(self, stop: int) -> dict[str, Any]:
         """Escalated runs and defects of the blocks up to a run.
@@ -268,11 +275,10 @@ class RunFolder:
     def sweep(self) -> None:
         """Removes what processes left behind that died on this machine, and notes that their sessions ended."""
         for place in (self.path, *(self.path / name for name in ("blocks", "sessions", "requests", "figures"))):
-            if place.is_dir():
-                remove_leftovers(place)
+            remove_leftovers(place)
         for path in (self.path / "sessions").glob("[!.]*.json"):
             note = read_document(path, SESSION)
-            if note["state"] == "running" and is_dead(note.get("machine"), note.get("process")):
+            if note["state"] == "running" and is_dead(note.get("machine", ""), note.get("process")):
                 write_whole(path, json.dumps({**note, "state": "interrupted"}, indent=2).encode())
 
     def begin_session(self, provenance: Mapping[str, Any]) -> "Session":
@@ -283,8 +289,8 @@ class RunFolder:
         """
         self.sweep()
         began = datetime.datetime.now(datetime.UTC)
-        name = f"{began:%Y%m%dT%H%M%S%f}-{platform.node()[:64]}-{os.getpid()}.json"
-        about = {"began": began.isoformat(), "machine": platform.node(), "process": os.getpid()}
+        name = f"{began:%Y%m%dT%H%M%S%f}-{machine()}-{os.getpid()}.json"
+        about = {"began": began.isoformat(), "machine": machine(), "process": os.getpid()}
         return Session(self.path / "sessions" / name, {**about, "provenance": dict(provenance)})
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
@@ -307,6 +313,15 @@ class RunFolder:
         except OSError as error:
             message = f"File `{file.path}` {fault} and can't be moved to `{aside}`: {error.strerror}."
             raise InputError(message) from None
+
+
+def _read(file: BlockFile, owner: str) -> Block | None:
+    """What is in a file; None, with a warning, if it is no block of the campaign."""
+    try:
+        return file.read(owner)
+    except BlockError as fault:
+        warnings.warn(f"File `{file.path}` {fault}: passed over.", stacklevel=3)
+        return None
 
 
 @dataclasses.dataclass

@@ -1,6 +1,5 @@
 """From what the user names to what decides the rows of a campaign."""
 
-import platform
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +29,7 @@ def recipe_again(folder: "RunFolder", study_file: Path | None, **options: Any) -
     Raises:
         InputError: There is no such file, or it is no longer the same study.
     """
+    from qsmc_jax.campaign.atomic import machine
     from qsmc_jax.campaign.recipe import Recipe, code_hash, require_same
     from qsmc_jax.simulation.settings import SolverSettings
 
@@ -37,7 +37,7 @@ def recipe_again(folder: "RunFolder", study_file: Path | None, **options: Any) -
     identity, there = manifest["identity"], Path(manifest["study_path"])
     named = study_file or there
     is_ours = there.is_absolute() and folder.path.resolve() not in there.resolve().parents
-    is_here = is_ours and manifest["machine"] == platform.node()
+    is_here = is_ours and manifest["machine"] == machine()
     if not named.is_file() or not (study_file or is_here):
         raise InputError(
             f"The study of `{folder.path}` was `{there}` on `{manifest['machine']}`, which is not there. Name the file "
