@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import qsmc_jax as qj
 from qsmc_jax.base.json_numbers import to_json
+from qsmc_jax.cli.blame import told, users_line
 from qsmc_jax.cli.main import app
 
 STUDY = str(Path(__file__).parent / "studies_for_tests.py")
@@ -95,6 +97,72 @@ def test_a_defect_of_ours_is_neither_a_verdict_nor_bad_input(logs, monkeypatch, 
     debug = qsmc("verify", STUDY, *SMALL, "--debug")
     assert debug.exit_code == 70
     assert "Traceback" in debug.stderr
+
+
+@pytest.mark.parametrize("place", ["qsmc_jax_mine", "mine"])
+def test_a_folder_named_like_ours_is_the_users(tmp_path, place):
+    file = Path(qj.__file__).parents[1] / place / "study.py"
+    with pytest.raises(ZeroDivisionError) as raised:
+        exec(compile("1 / 0", str(file), "exec"))
+    assert users_line(raised.value) == f"{file}, line 1"
+    assert told(raised.value) == "ZeroDivisionError: division by zero"
+
+
+FUTURE = """
+from __future__ import annotations
+import dataclasses
+from typing import ClassVar
+import qsmc_jax as qj
+
+@dataclasses.dataclass
+class Numbers:
+    gain: ClassVar[float] = 1.0
+
+class Mine(qj.AbstractPlant):
+    order: ClassVar[int] = 1
+
+    def drift(self, t, x):
+        return -x[0]
+
+    def gain(self, t, x):
+        return Numbers.gain
+
+def scenario(draw):
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(2.0, 1.0, 0.1))
+    loop = qj.ClosedLoop(Mine(), qj.references.Constant(0.0), qj.disturbances.Zero(), control)
+    return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.2, shape=(1,)), t1=4.0)
+
+study = qj.Study(scenario, bandwidth=0.5)
+"""
+
+
+def test_annotations_may_be_texts(tmp_path):
+    """Python looks for what they name in the module of the class."""
+    done = qsmc("simulate", written(tmp_path, FUTURE), "--json", "--no-cache")
+    assert done.exit_code == 0, done.output
+
+
+def test_what_fails_after_the_verdict_is_no_second_document(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("qsmc_jax.report.folder.ResultFolder.add_table", full)
+    done = qsmc("simulate", STUDY, "--json", "--no-cache", "--out", tmp_path / "run")
+    assert done.exit_code == 2
+    assert only_json(done.stdout)["verdict"] == "HELD"
+    assert "No space left on device" in done.stderr
+
+
+def test_a_campaign_that_is_interrupted_or_prepared_is_json_too(tmp_path, monkeypatch):
+    command = ["verify", STUDY, "--out", tmp_path / "run", "--json", *SMALL]
+    prepared = qsmc(*command, "--prepare")
+    assert prepared.exit_code == 0, prepared.output
+    assert only_json(prepared.stdout) == {"prepared": str(tmp_path / "run"), "runs": 64}
+    monkeypatch.setattr("qsmc_jax.campaign.campaign.run_campaign", lambda *_, **__: None)
+    stopped = qsmc(*command)
+    assert stopped.exit_code == 3
+    assert only_json(stopped.stdout)["error"]["kind"] == "interrupted"
+    assert "The same command goes on" in only_json(stopped.stdout)["error"]["message"]
 
 
 def test_an_interruption_is_not_an_answer(monkeypatch):

@@ -10,6 +10,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import Any
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.script import run_script
 from qsmc_jax.campaign.recipe import Recipe, Solved
 from qsmc_jax.study.study import Study
 
@@ -147,7 +148,6 @@ def _solve(source: bytes, values: dict[str, Any], options: dict[str, Any], missi
 @ft.lru_cache(maxsize=4)
 def _study(source: bytes) -> Study:
     """The study that a file defines; run once in a worker, so that its programs are compiled once."""
-    names: dict[str, Any] = {"__name__": "qsmc_study"}
-    exec(compile(source, "study.py", "exec"), names)
+    names = run_script(compile(source, "study.py", "exec"), "study.py")
     require(isinstance(names.get("study"), Study), "The study's file must define `study`.")
     return names["study"]

@@ -1,5 +1,6 @@
 """Whose mistake an error is: that of the user's study, or ours."""
 
+import os
 import sysconfig
 import traceback
 from collections.abc import Iterator
@@ -9,8 +10,8 @@ from qsmc_jax.base.errors import InputError
 
 # Of what other errors say, so much is shown.
 _LONGEST = 400
-_OURS = str(Path(__file__).resolve().parents[1])
-_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+_OURS = str(Path(__file__).resolve().parents[1]) + os.sep
+_LIBRARIES = tuple({sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 
 
 def users_line(error: BaseException) -> str | None:

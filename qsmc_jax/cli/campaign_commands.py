@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.console import progress_bar, say, say_json, waiting
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.interrupts import finishing
 from qsmc_jax.cli.options import Block, Cache, Json, Out, Threads
@@ -37,12 +37,11 @@ def register_campaign(app: typer.Typer) -> None:
 def show_status(run: Folder, as_json: Json = False) -> None:
     """How far a campaign is, and who worked on it."""
     with session(cache=False):
-        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.campaign.status import status_of
 
         status = status_of(RunFolder.open(run))
-        say(to_json(status.summary()) if as_json else str(status))
+        say_json(status.summary()) if as_json else say(str(status))
 
 
 def show_run(
@@ -56,7 +55,6 @@ def show_run(
 ) -> None:
     """Solve one run of a campaign again, in full, and hold it against the recorded row."""
     with session(cache):
-        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.campaign.replay import replay
         from qsmc_jax.report.folder import ResultFolder
@@ -66,13 +64,15 @@ def show_run(
         with waiting("solving", quiet=as_json):
             again = replay(folder, recipe_again(folder, study), index, worst)
         numbers = {**figures_as_numbers(again.trajectory), "recorded": again.row, "agrees": again.agrees}
+        say_json(numbers) if as_json else say(str(again))
         if out:
             with ResultFolder(out) as result:
                 result.add_json("run.json", numbers)
                 result.add_table("signals.parquet", again.trajectory.columns())
                 result.add_figure("run.png", again.trajectory.plot)
                 result.commit()
-        say(to_json(numbers) if as_json else f"{again}" + (f"\nWritten to {out}." if out else ""))
+            if not as_json:
+                say(f"Written to {out}.")
     raise typer.Exit(HELD if again.agrees else UNDECIDED)
 
 

@@ -11,6 +11,8 @@ from typing import Any
 _COMMANDING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 # Where results go; the last one counts.
 _RESULTS: list[Any] = []
+# How many were printed.
+_COUNT = {"answers": 0}
 
 
 @contextlib.contextmanager
@@ -23,11 +25,19 @@ def results_to(file: Any) -> Iterator[None]:
         _RESULTS.pop()
 
 
+@contextlib.contextmanager
+def answers() -> Iterator[Callable[[], bool]]:
+    """Yields a function that says whether a result was printed inside."""
+    before = _COUNT["answers"]
+    yield lambda: _COUNT["answers"] > before
+
+
 def say(text: str, *, is_error: bool = False) -> None:
     """Prints a text; signs that would command the terminal, from a file of somebody else's, as they are written.
 
     A reader who has gone, as in `qsmc ... | head`, changes nothing.
     """
+    _COUNT["answers"] += not is_error
     text = _COMMANDING.sub(lambda sign: f"\\u{ord(sign[0]):04x}", text)
     file = sys.stderr if is_error else (_RESULTS or [sys.stdout])[-1]
     try:

@@ -23,11 +23,12 @@ _PATIENCE = 1.0
 @contextlib.contextmanager
 def obeying() -> Iterator[None]:
     """The first signal is a `KeyboardInterrupt`; a second one ends the process within two seconds."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     with _handled_by(_interrupt), _listening():
         yield
+
+
+class Interruption(Exception):
+    """Work that was told to stop and has ended in order; says what is kept."""
 
 
 @contextlib.contextmanager
@@ -41,9 +42,6 @@ def finishing() -> Iterator[Callable[[], bool]]:
         told.set()
         say("qsmc: finishing the block in hand; once more to stop at once.", is_error=True)
 
-    if threading.current_thread() is not threading.main_thread():
-        yield told.is_set
-        return
     with _handled_by(tell):
         yield told.is_set
 
@@ -54,8 +52,12 @@ def _interrupt(number: int, frame: Any) -> None:
 
 @contextlib.contextmanager
 def _handled_by(handler: Callable[[int, Any], None]) -> Iterator[None]:
-    """Signals go to a function; but for those that whoever started the program wants ignored, as `nohup` does."""
-    wanted = [number for number in _SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    """Signals go to a function; but for those that whoever started the program wants ignored, as `nohup` does.
+
+    Only the main thread hears of signals.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    wanted = [number for number in _SIGNALS if is_main and signal.getsignal(number) != signal.SIG_IGN]
     before = {number: signal.signal(number, handler) for number in wanted}
     try:
         yield

@@ -1,6 +1,6 @@
 """The program `qsmc`: `simulate` and `paper` here, the other commands in files of their own.
 
-What the exit codes mean is said in `program.py`.
+What the exit codes mean is said in `exit_codes.py`.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ import typer
 
 from qsmc_jax import __version__
 from qsmc_jax.cli.campaign_commands import register_campaign
-from qsmc_jax.cli.console import say, waiting
+from qsmc_jax.cli.console import say, say_json, waiting
 from qsmc_jax.cli.exit_codes import HELD, MEANING, UNDECIDED, VIOLATED, code_of
 from qsmc_jax.cli.interrupts import obeying
 from qsmc_jax.cli.newcomer_commands import register_newcomer
@@ -68,7 +68,6 @@ def simulate(
     """Solve the nominal run of a study, or replay one run of a verification, in full."""
     with session(cache):
         from qsmc_jax import SolverSettings
-        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.signals import figures_as_numbers
 
@@ -80,7 +79,7 @@ def simulate(
                     study.simulate(settings=settings) if index is None else study.replay(index, seed, settings=settings)
                 )
             numbers = figures_as_numbers(run)
-            say(to_json(numbers) if as_json else str(run))
+            say_json(numbers) if as_json else say(str(run))
             if folder:
                 folder.add_json("run.json", numbers)
                 folder.add_table("signals.parquet", run.columns())
@@ -97,27 +96,25 @@ def simulate(
 def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
     """Both examples of the paper from all their starts: a table of claim, paper's number and ours, and the pictures."""
     with session(cache):
-        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.paper_table import as_text, rows, simulate_example
         from qsmc_jax.simulation.trajectory_plots import plot_trajectory
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
-            table = []
-            for number in (1, 2):
-                with waiting(f"example {number}", quiet=as_json):
-                    runs = simulate_example(number)
-                    table += rows(number, runs)
-                    if folder:
-                        labels = tuple(f"$x_i(0)$ = {run.x[0, 0]:g}" for run in runs)
-                        folder.add_figure(f"example{number}.png", partial(plot_trajectory, *runs, labels=labels))
-                        if number == 1:
-                            folder.add_figure("figure1_phase_plane.png", runs[0].plot_phase_plane)
+            with waiting("solving", quiet=as_json):
+                runs = {number: simulate_example(number) for number in (1, 2)}
+            table = [row for number, each in runs.items() for row in rows(number, each)]
             content = {"claims": [vars(row) for row in table]}
+            say_json(content) if as_json else say(as_text(table))
             if folder:
+                for number, each in runs.items():
+                    labels = tuple(f"$x_i(0)$ = {run.x[0, 0]:g}" for run in each)
+                    folder.add_figure(f"example{number}.png", partial(plot_trajectory, *each, labels=labels))
+                folder.add_figure("figure1_phase_plane.png", runs[1][0].plot_phase_plane)
                 folder.add_json("paper.json", content)
                 folder.commit()
-        say(to_json(content) if as_json else as_text(table) + (f"\nWritten to {out}." if out else ""))
+                if not as_json:
+                    say(f"Written to {out}.")
     raise typer.Exit(HELD if all(row.is_met for row in table) else VIOLATED)
 
 

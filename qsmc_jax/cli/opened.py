@@ -1,6 +1,7 @@
 """What a study reads besides its own file: data, and modules that it imports."""
 
 import contextlib
+import functools as ft
 import hashlib
 import os
 import sys
@@ -42,11 +43,10 @@ def files_read(beside: Path) -> Iterator[dict[str, str]]:
                     found[os.path.relpath(file, folder)] = hashlib.sha256(content).hexdigest()[:16]
 
 
+@ft.cache
 def _install() -> None:
     """Has Python tell of every file that is opened; a hook can't be removed, so it is there once."""
-    if not _WATCHED and not getattr(_hear, "is_installed", False):
-        sys.addaudithook(_hear)
-        _hear.is_installed = True  # pyright: ignore[reportFunctionMemberAccess]
+    sys.addaudithook(_hear)
 
 
 def _hear(event: str, arguments: tuple[Any, ...]) -> None:

@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,9 @@ from typer.core import TyperGroup
 
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.blame import told, users_line
-from qsmc_jax.cli.console import say, say_json
+from qsmc_jax.cli.console import answers, say, say_json
 from qsmc_jax.cli.exit_codes import BAD_INPUT, HELD, INTERNAL_ERROR, UNDECIDED
+from qsmc_jax.cli.interrupts import Interruption
 
 # What Python and the library that reads arguments make of Ctrl-C.
 _INTERRUPTED = 130
@@ -31,14 +32,14 @@ class Program(TyperGroup):
         self, args: Sequence[str] | None = None, *others: Any, standalone_mode: bool = True, **options: Any
     ) -> Any:
         words = list(sys.argv[1:] if args is None else args)
-        is_debug = "--debug" in _options(words)
-        try:
-            code = super().main(_global_first(words), *others, standalone_mode=False, **options)
-        except BaseException as error:  # noqa: BLE001  # there is nothing further out
-            code = _end(error, words, is_debug)
+        with answers() as has_answered:
+            try:
+                code = super().main(_global_first(words), *others, standalone_mode=False, **options)
+                if code == _INTERRUPTED:
+                    raise KeyboardInterrupt
+            except BaseException as error:  # noqa: BLE001  # there is nothing further out
+                code = _end(error, words, has_answered())
         code = code if isinstance(code, int) else HELD
-        if code == _INTERRUPTED:
-            code = _end(KeyboardInterrupt(), words, is_debug)
         if standalone_mode:
             sys.exit(code)
         return code
@@ -56,24 +57,25 @@ def _global_first(words: Sequence[str]) -> list[str]:
     return [*dict.fromkeys(options), *rest, *words[len(_options(words)) :]]
 
 
-def _end(error: BaseException, words: Sequence[str], is_debug: bool) -> int:
+def _end(error: BaseException, words: Sequence[str], has_answered: bool) -> int:
     """Says what went wrong in one line, and returns the exit code."""
-    if hasattr(error, "exit_code") and hasattr(error, "show"):  # what reads the arguments has something against them
+    # What reads the arguments has something against them, and says so itself.
+    show: Callable[[], None] | None = getattr(error, "show", None)
+    if show is not None:
         kind, code, text = "bad input", BAD_INPUT, error.format_message()  # pyright: ignore
-        error.show()  # pyright: ignore
-    elif isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":
-        kind, code, text = "interrupted", UNDECIDED, "interrupted; nothing half-done was kept."
+    elif isinstance(error, KeyboardInterrupt | Interruption) or type(error).__name__ == "Abort":
+        kind, code, text = "interrupted", UNDECIDED, str(error) or "interrupted; nothing half-done was kept."
     elif isinstance(error, InputError | OSError):
         kind, code, text = "bad input", BAD_INPUT, str(error)
     elif where := users_line(error):
         kind, code, text = "bad input", BAD_INPUT, f"{where}: {told(error)}"
     else:
         kind, code, text = "internal error", INTERNAL_ERROR, _defect(error, words)
-    if is_debug and kind != "interrupted":
+    if "--debug" in _options(words) and kind != "interrupted":
         traceback.print_exception(error, file=sys.stderr)
-    if not hasattr(error, "show"):
-        say(f"qsmc: {text}", is_error=True)
-    if "--json" in _options(words):
+    show() if show is not None else say(f"qsmc: {text}", is_error=True)
+    # One document: a verdict that is printed stands, whatever fails afterwards.
+    if "--json" in _options(words) and not has_answered:
         say_json({"error": {"kind": kind, "message": text}, "exit_code": code})
     return code
 

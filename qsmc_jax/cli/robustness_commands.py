@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.cli.console import progress_bar, say, waiting
+from qsmc_jax.cli.console import progress_bar, say, say_json, waiting
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.grids import parse_grids, parse_interval
 from qsmc_jax.cli.options import (
@@ -158,7 +158,6 @@ def compare_studies(
     Exit codes: 0 done, 2 bad input, 3 interrupted.
     """
     with session(cache):
-        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.campaign.contrast import contrast
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.simulation.settings import SolverSettings
@@ -166,7 +165,7 @@ def compare_studies(
 
         if other is not None:
             found = contrast(RunFolder.open(studies_file), RunFolder.open(other))
-            say(to_json(found.summary()) if as_json else str(found))
+            say_json(found.summary()) if as_json else say(str(found))
             return
         source = Source.read(studies_file)
         studies = load_studies(source, overrides or [])
@@ -188,7 +187,6 @@ def _deliver(
     draw: Callable[[Any], Any],
 ) -> Any:
     """Does the work, writes its result as JSON, Parquet and picture into the folder, all or nothing, and prints it."""
-    from qsmc_jax.base.json_numbers import to_json
     from qsmc_jax.report.folder import ResultFolder
     from qsmc_jax.report.provenance import provenance
 
@@ -196,7 +194,7 @@ def _deliver(
         with progress_bar("solving", quiet=as_json) as progress:
             result = work(progress)
         content = {**result.summary(), "provenance": provenance(source.path, source.content, sys.argv)}
-        say(to_json(content) if as_json else str(result))
+        say_json(content) if as_json else say(str(result))
         if folder:
             folder.add_json(f"{stem}.json", content)
             folder.add_table(f"{stem}.parquet", result.table())

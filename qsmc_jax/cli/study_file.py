@@ -2,11 +2,11 @@
 
 import dataclasses
 import json
-import types
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qsmc_jax.base.errors import InputError
+from qsmc_jax.base.script import run_script
 from qsmc_jax.cli.blame import frames_of, told, users_line
 from qsmc_jax.cli.opened import files_read
 
@@ -56,11 +56,9 @@ class Source:
             program = compile(self.content, file, "exec", dont_inherit=True)
         except (SyntaxError, ValueError) as error:
             raise InputError(f"File `{file}`: {told(error)}") from None
-        module = types.ModuleType(self.path.stem)
-        module.__file__ = file
         try:
             with files_read(self.path.parent) as files:
-                exec(program, vars(module))
+                names = run_script(program, file)
         except (Exception, SystemExit) as error:
             if not (isinstance(error, InputError) or users_line(error)):
                 raise
@@ -68,7 +66,7 @@ class Source:
             place = f", line {lines[-1]}" if lines else ""
             raise InputError(f"File `{file}`{place}: {told(error)}") from error
         self.files.update(files)
-        return vars(module)
+        return names
 
 
 def load_study(source: Source, overrides: list[str]) -> "Study":

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from qsmc_jax.cli.console import live_line, say, waiting
+from qsmc_jax.cli.console import live_line, say, say_json, waiting
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.options import Atol, Block, Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile, Threads
 from qsmc_jax.cli.session import session
@@ -60,7 +60,6 @@ def tune_study(
     Exit codes: 0 certified, 2 bad input, 3 not certified or interrupted.
     """
     with session(cache):
-        from qsmc_jax.base.json_numbers import to_json
         from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.provenance import provenance
         from qsmc_jax.simulation.settings import SolverSettings
@@ -77,7 +76,7 @@ def tune_study(
                 watched: Any = {} if tell is None else _Told(tell).watched
                 result = tune(study, parameters, objective, subject_to or (), **how, **claim, **solving, **watched)
             content = {**result.summary(), "provenance": provenance(study_file, source.content, sys.argv)}
-            say(to_json(content) if as_json else str(result))
+            say_json(content) if as_json else say(str(result))
             if folder:
                 with waiting("drawing", quiet=as_json):
                     drawn: Any = {"settings": settings, "block": block, "threads": threads}

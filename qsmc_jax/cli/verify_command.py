@@ -12,9 +12,9 @@ import typer
 
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.blame import told
-from qsmc_jax.cli.console import progress_bar, say, waiting
-from qsmc_jax.cli.exit_codes import HELD, UNDECIDED, code_of
-from qsmc_jax.cli.interrupts import finishing
+from qsmc_jax.cli.console import progress_bar, say, say_json, waiting
+from qsmc_jax.cli.exit_codes import HELD, code_of
+from qsmc_jax.cli.interrupts import Interruption, finishing
 from qsmc_jax.cli.options import Atol, Block, Cache, Json, MaxSteps, Method, Overrides, Rtol, Seed, StudyFile, Threads
 from qsmc_jax.cli.recipes import recipe_of
 from qsmc_jax.cli.session import session
@@ -82,7 +82,8 @@ def verify_study(
             again = ["qsmc", "show", str(folder.path), "--run"]
             if prepare:
                 folder.ask_for(runs, rule is not None)
-                say(f"Prepared {folder.path} for {runs} runs. Now: qsmc worker {folder.path} --shard 0/4, 1/4, ...")
+                said = f"Prepared {folder.path} for {runs} runs. Now: qsmc worker {folder.path} --shard 0/4, 1/4, ..."
+                say_json({"prepared": str(folder.path), "runs": runs}) if as_json else say(said)
                 raise typer.Exit(HELD)
             with _engine(scheduler, workers) as engine:
                 campaign = _Campaign(folder, recipe, origin, runs, confidence, worst, rule, engine)
@@ -124,8 +125,8 @@ class _Campaign:
                 provenance=self.origin,
             )
         if result is None:
-            say(f"Interrupted: what is solved is kept in {self.folder.path}. The same command goes on.", is_error=True)
-            raise typer.Exit(UNDECIDED)
+            message = f"interrupted: what is solved is kept in {self.folder.path}. The same command goes on."
+            raise Interruption(message)
         write_summary(self.folder, result, self.origin)
         return result
 
@@ -215,11 +216,10 @@ def _engine(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 def _tell(
     result: "Verification", study_file: Path, again: list[str], out: Path | None, origin: dict[str, Any], as_json: bool
 ) -> None:
-    from qsmc_jax.base.json_numbers import to_json
     from qsmc_jax.campaign.commands import solver_options, verify_command
 
     if as_json:
-        say(to_json({**result.summary(), "provenance": origin}))
+        say_json({**result.summary(), "provenance": origin})
         return
     values = {name: value.tolist() for name, value in result.study.values.items()}
     firmer = verify_command(str(study_file), result.runs, result.seed, result.confidence, values, result.firmer)
