@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from qsmc_jax.study.sampling import LatinHypercube as LatinHypercube
     from qsmc_jax.study.sampling import Random as Random
     from qsmc_jax.study.sampling import Sobol as Sobol
+    from qsmc_jax.study.signals import SignalBatch as SignalBatch
+    from qsmc_jax.study.signals import signals as signals
     from qsmc_jax.study.study import Scenario as Scenario
     from qsmc_jax.study.study import Study as Study
     from qsmc_jax.tuning import objectives as objectives
@@ -91,6 +93,8 @@ _HOMES = {
     "monte_carlo": "qsmc_jax.study.monte_carlo",
     "stream": "qsmc_jax.study.monte_carlo",
     "Runs": "qsmc_jax.study.runs",
+    "SignalBatch": "qsmc_jax.study.signals",
+    "signals": "qsmc_jax.study.signals",
     "LatinHypercube": "qsmc_jax.study.sampling",
     "Random": "qsmc_jax.study.sampling",
     "Sobol": "qsmc_jax.study.sampling",

@@ -1,18 +1,16 @@
 """How batches are compiled, and with which of the compiler's options."""
 
+import logging
+import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
 
+from qsmc_jax.base.platforms import platform
 from qsmc_jax.base.vectorise import is_vectorised, vectorised
 
-# No splitting of work over cores, which threads do here with whole blocks.
-_OPTIONS = {"xla_disable_hlo_passes": "cpu-parallel-task-assigner"}
-
-# Vectors as wide as they come, where XLA for CPUs stays at half the width: a third less time. Only for programs without
-# an arctangent of JAX's own, which jaxlib 0.10.2 compiles to wrong numbers at this width.
-_WIDE_OPTIONS = {**_OPTIONS, "xla_cpu_prefer_vector_width": "512"}
+_LOG = logging.getLogger(__name__)
 
 
 def compiled(fn: Callable[..., Any], *arguments: Any, vectorise: bool) -> Callable[..., Any]:
@@ -24,8 +22,15 @@ def compiled(fn: Callable[..., Any], *arguments: Any, vectorise: bool) -> Callab
         vectorise: Whether its sines, cosines, tangents and arctangents are replaced, see `vectorised`. Where none is
             left, the program is given wide vectors.
     """
+    begin, chosen = time.perf_counter(), platform()
     traced = jax.jit(vectorised(fn) if vectorise else fn).trace(*arguments)
-    if jax.default_backend() != "cpu":
-        return traced.lower().compile()
-    is_wide = vectorise and is_vectorised(traced.jaxpr)
-    return traced.lower().compile(compiler_options=_WIDE_OPTIONS if is_wide else _OPTIONS)
+    is_wide = vectorise and chosen.rewrites and is_vectorised(traced.jaxpr)
+    options = chosen.wide_options if is_wide else chosen.options
+    program = traced.lower().compile(compiler_options=dict(options) or None)
+    _LOG.info("compiled %s in %.1f s", _named(fn), time.perf_counter() - begin)
+    return program
+
+
+def _named(fn: Any) -> str:
+    inner = getattr(fn, "func", fn)
+    return getattr(inner, "__name__", type(inner).__name__).strip("_")

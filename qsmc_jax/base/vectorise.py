@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from qsmc_jax.base import elementary
 from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.platforms import platform
 from qsmc_jax.base.programs import Program, Rewriter
 
 _REWRITER = Rewriter(
@@ -60,7 +61,7 @@ class _Vectorised(AbstractModule):
     fn: Callable[..., Any]
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        if jax.default_backend() != "cpu" or _REWRITER.problem:
+        if not platform().rewrites or _REWRITER.problem:
             return self.fn(*args, **kwargs)
         # Without inputs of its own, the traced program closes over the arguments, whatever they are.
         program, shape = jax.make_jaxpr(ft.partial(self.fn, *args, **kwargs), return_shape=True)()

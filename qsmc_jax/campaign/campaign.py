@@ -15,6 +15,7 @@ from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.verification.evidence import Effort, Evidence, check_request
 from qsmc_jax.verification.result import Verification
+from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import AbstractRule, decision_of
 
 # By how much sup |sigma|/rho may differ where rounding does, in units of the relative tolerance, and a drawn number.
@@ -122,19 +123,20 @@ def run_campaign(
     blocks = Blocks(folder, recipe, runs, should_stop)
     solving = blocks.solved(engine or Threads(), session)
     try:
-        for done in blocks.in_order(solving):
-            for table in folder.tables(evidence.runs, done):
-                evidence.add(table)
-            require(
-                evidence.runs == done,
-                f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done} are there. Give the "
-                "same command again: it solves what is missing.",
-            )
-            if progress is not None:
-                progress(done, runs)
-            decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
-            if decision is not None:
-                break
+        with Rungs.of(recipe.study, recipe.settings).compiling_check(recipe.study):
+            for done in blocks.in_order(solving):
+                for table in folder.tables(evidence.runs, done):
+                    evidence.add(table)
+                require(
+                    evidence.runs == done,
+                    f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done} are there. Give "
+                    "the same command again: it solves what is missing.",
+                )
+                if progress is not None:
+                    progress(done, runs)
+                decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
+                if decision is not None:
+                    break
         state = "done" if decision is not None or evidence.runs >= runs else "interrupted"
     finally:
         solving.close()

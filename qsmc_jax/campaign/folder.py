@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 import json
+import logging
 import os
 import shutil
 import warnings
@@ -19,6 +20,8 @@ from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
 from qsmc_jax.study.draw import DrawSpec
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.verification.stopping import LOOK
+
+_LOG = logging.getLogger(__name__)
 
 SCHEMA = 3
 FILE_RUNS = LOOK
@@ -224,6 +227,7 @@ class RunFolder:
         """
         about = {"escalated": solved.escalated, "defects": solved.defects}
         write_block(self.path / "blocks", solved.rows, about, specs, self.fingerprint)
+        _LOG.info("wrote %d rows from run %d on", len(solved.rows), solved.rows["index"][0])
 
     def tables(self, start: int = 0, stop: int | None = None) -> Iterator[Runs]:
         """Rows of the runs start ... stop - 1 that there are, in order, each once; damaged files are passed over.

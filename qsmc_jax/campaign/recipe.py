@@ -12,8 +12,8 @@ from typing import Any
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.contents import contents
-from qsmc_jax.study.lanes import Lanes
-from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
+from qsmc_jax.study.lanes import Lanes, block_size
+from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import Random
 from qsmc_jax.study.schedule import Workload
@@ -33,8 +33,8 @@ class Recipe:
         source: The bytes of the file that defines it.
         seed: Seed of the runs.
         settings: Method and tolerances of the first solve.
-        block: Runs solved together, a multiple of 64; the rows do not depend on it.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform. The rows do not depend on it.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         files: Hashes of what the study read when it was loaded, by name: to name what changed, no more.
 
     Examples:
@@ -53,12 +53,12 @@ class Recipe:
     source: bytes
     seed: int = 0
     settings: SolverSettings = dataclasses.field(default_factory=SolverSettings)
-    block: int = BLOCK
+    block: int | None = None
     threads: int | None = None
     files: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
-        Lanes(self.study, self.settings, self.block)  # checks them
+        Lanes(self.study, self.settings, block_size(self.block))  # checks them
 
     @ft.cached_property
     def identity(self) -> dict[str, Any]:
@@ -86,9 +86,12 @@ class Recipe:
     @ft.cached_property
     def planner(self) -> Planner:
         """What the blocks so far taught of the cost of a run; compiles on first use."""
-        lanes = Lanes(self.study, self.settings, self.block)
-        lanes.compile_nominal()
-        return Planner(lanes, self.seed, Random())
+        self._lanes.compile_nominal()
+        return Planner(self._lanes, self.seed, Random())
+
+    @property
+    def _lanes(self) -> Lanes:
+        return Lanes(self.study, self.settings, block_size(self.block))
 
     @property
     def stream(self) -> Callable[..., Iterator[Runs]]:
@@ -103,7 +106,7 @@ class Recipe:
             progress: Called as `progress(done, len(runs))` after each piece of the first solve.
         """
         planner, workload, begin = self.planner, Workload(), time.perf_counter()
-        escalation = Escalation(self.stream, Rungs.of(self.study, self.settings), self.block)
+        escalation = Escalation(self.stream, Rungs.of(self.study, self.settings), self._lanes.count)
         options = {"settings": self.settings, "workload": workload, "planner": planner, "progress": progress}
         tables = list(through(escalation, self.stream(runs, **options)))
         table = concatenate(tables)
@@ -146,6 +149,12 @@ def code_hash(source: bytes) -> str:
 def fingerprint(identity: dict[str, Any]) -> str:
     """A short hash of what changes the rows."""
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def settings_in(identity: Mapping[str, Any]) -> SolverSettings:
+    """The settings that an identity tells of."""
+    settings = SolverSettings(identity["rtol"], identity["atol"])
+    return settings.replace(**{name: identity[name] for name, _ in settings.choices if name in identity})
 
 
 def require_same(found: dict[str, Any], asked: dict[str, Any], place: str, hint: str = "") -> None:

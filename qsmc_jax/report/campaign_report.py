@@ -14,6 +14,7 @@ from qsmc_jax.base.plotting import as_png
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.commands import verify_command
 from qsmc_jax.campaign.folder import RunFolder
+from qsmc_jax.campaign.recipe import settings_in
 from qsmc_jax.report.drivers import Drivers
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.settings import SolverSettings
@@ -74,8 +75,6 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
     )
     environment.filters["short"] = _short
     about = (manifest["study_file"], summary["runs"], summary["seed"], summary["confidence"], summary["values"])
-    identity = manifest["identity"]
-    own = SolverSettings(**{name: identity[name] for name in ("rtol", "max_steps", "method")})
     error = summary["numerical_error"]
     changed = {name: change for name, change in error["metrics"].items() if (change["relative"] or 0.0) > 0.0}
     largest = sorted(changed.items(), key=lambda item: -item[1]["relative"])
@@ -90,7 +89,7 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
         manifest=manifest,
         sessions=folder.sessions(),
         zip=zip,
-        again=shlex.join([*verify_command(*about, own), "--out", "again"]),
+        again=shlex.join([*verify_command(*about, settings_in(manifest["identity"])), "--out", "again"]),
         firmer=shlex.join([*verify_command(*about, SolverSettings(**summary["firmer"])), "--out", "firmer"]),
         largest=largest[:5],
     )

@@ -23,7 +23,7 @@ from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
 from qsmc_jax.simulation.sampled_figures import read_sampled_figures
 from qsmc_jax.simulation.sampled_loop import run_sampled
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
-from qsmc_jax.simulation.step_size import StepSize
+from qsmc_jax.simulation.step_size import StepSize, singly
 from qsmc_jax.simulation.tally import Problem, first_tally
 from qsmc_jax.simulation.tsit5 import Tsit5
 
@@ -115,7 +115,7 @@ def _solve_ideal(
         y0=run0,
         args=problem,
         saveat=_saveat(times),
-        stepsize_controller=StepSize(problem.loop.break_times, _first_step(problem, x0, run0, horizon)),
+        stepsize_controller=StepSize(singly(problem.loop.break_times), _first_step(problem, x0, run0, horizon)),
         max_steps=settings.max_steps,
         adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(CHECKPOINTS),
         throw=False,

@@ -1,5 +1,7 @@
 """The length of the steps: adaptive, on the error that the solver reports, ending where the loop breaks."""
 
+import functools as ft
+from collections.abc import Callable
 from typing import Any
 
 import diffrax as dfx
@@ -9,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
+from qsmc_jax.base.fence import Fence
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 
 # By how much a step may shrink or grow from one to the next, and what is aimed for below the tolerance.
 _SHRINKS_BY, _GROWS_BY, _SAFETY = 0.2, 10.0, 0.9
@@ -19,6 +22,8 @@ _GRAINS = 1024.0
 _STRETCH = 1e-3
 # Break times closer than this, relative to themselves, are one and the same up to rounding.
 _SAME_TIME = 1e-13
+# Breaks that a program may hold one by one.
+_FEW = 64
 # A step of so many units in the last place of time, relative to it, is the shortest.
 _SHORTEST = 8.0 * float(np.finfo(float).eps)
 # So is one of this part of the first, at time 0, where time itself resolves any.
@@ -36,11 +41,11 @@ class StepSize(dfx.AbstractStepSizeController):
     the right. The controller's state is the error of the last step kept.
 
     Attributes:
-        breaks: Break times [s], in any order; unused places hold `inf`.
+        breaks: Break times [s], in any order; unused places hold `inf`. Made by `singly`.
         first: Length of the first step [s].
     """
 
-    breaks: Float[Array, " breaks"]
+    breaks: Scalars | Float[Array, " breaks"]
     first: RealScalarLike
 
     def wrap(self, direction: Any) -> "StepSize":
@@ -70,38 +75,50 @@ class StepSize(dfx.AbstractStepSizeController):
         error_order: RealScalarLike,
         controller_state: RealScalarLike,
     ) -> tuple[Any, ...]:
-        error, last = _root(jnp.maximum(y_error.local, y_error.hidden**_STEEPNESS)), controller_state
+        fence: Fence = args.fence
+        error = fence(_root(jnp.maximum(y_error.local, y_error.hidden**_STEEPNESS)))
+        last = controller_state
         is_kept = error < 1.0
         factor = _SAFETY * last / jnp.maximum(error, 1e-30) ** 2
         low, high = jnp.where(is_kept, 1.0, _SHRINKS_BY), jnp.where(is_kept, _GROWS_BY, _SAFETY)
         factor = eqxi.nondifferentiable(jnp.clip(factor, low, high))
         start, made_jump = self._start(jnp.where(is_kept, t1, t0), is_kept)
+        start = fence(start)
         # An error of zero says nothing of how the next step should be.
         told = jnp.where(is_kept & (error > 0.0), error, jnp.where(is_kept, 1.0, last))
         # A step that is refused though time resolves none much shorter is the last one.
         is_last = ~is_kept & (t1 - t0 <= jnp.maximum(_SHORTEST * jnp.abs(t1), _LEAST * self.first))
         cause = dfx.RESULTS.where(y_error.local < 1.0, UNRESOLVED, dfx.RESULTS.dt_min_reached)
         result = dfx.RESULTS.where(is_last, cause, dfx.RESULTS.successful)
-        return is_kept, start, self._end(start, (t1 - t0) * factor), made_jump, told, result
+        return is_kept, start, fence(self._end(start, (t1 - t0) * factor)), made_jump, told, result
 
     def _start(self, t: RealScalarLike, is_kept: BoolScalarLike) -> tuple[RealScalarLike, Any]:
         """Where a step begins that follows one which ended at `t`: past a break that ended it."""
-        if self.breaks.size == 0:
+        if len(self.breaks) == 0:
             return t, False
         reached = eqxi.nextafter(t)
-        ends_here = jnp.any(self.breaks == reached) & is_kept
-        is_same = self.breaks <= reached + _SAME_TIME * jnp.abs(reached)
-        last = jnp.max(jnp.where(is_same, self.breaks, -jnp.inf))
+        nearly = reached + _SAME_TIME * jnp.abs(reached)
+        ends_here = is_kept & self._folded(jnp.logical_or, lambda b: b == reached)
+        last = self._folded(jnp.maximum, lambda b: jnp.where(b <= nearly, b, -jnp.inf))
         return jnp.where(ends_here, eqxi.nextafter(jnp.where(ends_here, last, 0.0)), t), ends_here
 
     def _end(self, start: RealScalarLike, length: RealScalarLike) -> RealScalarLike:
         """Where a step ends that should have a certain length: before the next break at the latest."""
         end = jnp.maximum(start + length, eqxi.nextafter(start))
-        if self.breaks.size == 0:
+        if len(self.breaks) == 0:
             return end
-        ahead = jnp.min(jnp.where(self.breaks > start, self.breaks, jnp.inf))
+        ahead = self._folded(jnp.minimum, lambda b: jnp.where(b > start, b, jnp.inf))
         is_cut = end + _STRETCH * length >= ahead
         return jnp.where(is_cut, eqxi.prevbefore(jnp.where(is_cut, ahead, 0.0)), end)
+
+    def _folded(self, two: Any, of: Callable[[Any], Any]) -> Any:
+        """`two`, a ufunc, over all of `of(break)`."""
+        return ft.reduce(two, map(of, self.breaks)) if isinstance(self.breaks, tuple) else two.reduce(of(self.breaks))
+
+
+def singly(break_times: Float[Array, " breaks"]) -> Scalars | Float[Array, " breaks"]:
+    """Break times one by one if they are few: a batch then goes through them in vectors, unlike a reduction."""
+    return tuple(break_times) if len(break_times) <= _FEW else break_times
 
 
 def _root(error: RealScalarLike) -> Float[Array, ""]:

@@ -74,9 +74,7 @@ def method_for(stiffness: float, nominal: float, asked_for: Method = "auto") -> 
     return "rodas5p" if is_stiff == (asked_for == "auto") else "tsit5"
 
 
-def with_method(
-    settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike, nominal: float | None = None
-) -> SolverSettings:
+def with_method(settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> SolverSettings:
     """The settings with a method in place of `"auto"` or `"other"`; as for a loop that is not stiff while it is traced.
 
     Args:
@@ -84,9 +82,8 @@ def with_method(
         loop: The loop.
         x0: Its start, n numbers.
         t1: The horizon [s].
-        nominal: Stiffness of the nominal run of the study; None for a run on its own.
     """
     if settings.method not in BY_STIFFNESS:
         return settings
     own = 0.0 if is_traced(loop, x0, t1) else float(stiffness(loop, x0, t1))
-    return settings.replace(method=method_for(own, own if nominal is None else nominal, settings.method))
+    return settings.replace(method=method_for(own, own, settings.method))

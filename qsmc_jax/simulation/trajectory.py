@@ -3,13 +3,10 @@
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Real
 
-from qsmc_jax.base.checks import require, require_finite, require_kind, require_positive, require_shape, show
-from qsmc_jax.base.gudermann import ratio, sinh_cosh
+from qsmc_jax.base.checks import require_finite, require_kind, require_positive, require_shape
 from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.precision import entry_point
@@ -18,17 +15,14 @@ from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.state_jumps import require_no_state_jumps
-from qsmc_jax.simulation.engine import pose, solve
-from qsmc_jax.simulation.figures import Figures, is_refused
+from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.finite import require_finite_functions
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.probed import said_of_probed
+from qsmc_jax.simulation.sampled_signals import Course, grid_of, solve_along
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import with_method
-from qsmc_jax.simulation.tally import Problem
 from qsmc_jax.simulation.trajectory_plots import plot_funnel, plot_phase_plane, plot_trajectory
-
-_DEFAULT_TIMES = 2001
 
 
 class Trajectory(AbstractModule):
@@ -241,10 +235,17 @@ def simulate_drawn(
     check_start(loop, x0, t1)
     require_finite("bandwidth", bandwidth)
     loop.control.funnel.check_bandwidth(bandwidth)
-    grid = np.linspace(0.0, float(t1), _DEFAULT_TIMES) if ts is None else as_float64(ts)
-    _check_times(grid, float(t1))
-    settings = with_method(settings, loop, x0, t1)
-    return _simulate(loop, x0, t1, bandwidth, grid, settings, np.asarray(is_drawn_well))
+    settings, ts = with_method(settings, loop, x0, t1), grid_of(ts, t1)
+    course = _solve_along(loop, x0, t1, bandwidth, ts, settings, np.asarray(is_drawn_well))
+    return trajectory(loop, bandwidth, ts, course)
+
+
+def trajectory(
+    loop: ClosedLoop, bandwidth: RealScalarLike, ts: Float[Array | np.ndarray, " times"], course: Course
+) -> Trajectory:
+    """What a user sees of a course: with the loop that was solved."""
+    told = course.figures, loop, bandwidth, course.error_bounds, course.settling_time
+    return Trajectory(ts, *course.signals, *told)
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
@@ -270,68 +271,4 @@ def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     require_finite_functions(loop, x0, t1)
 
 
-@entry_point
-def _simulate(
-    loop: ClosedLoop,
-    x0: Float[Array | np.ndarray, " n"],
-    t1: RealScalarLike,
-    bandwidth: RealScalarLike,
-    ts: Float[Array | np.ndarray, " times"],
-    settings: SolverSettings,
-    is_drawn_well: BoolScalarLike,
-) -> Trajectory:
-    problem = pose(loop, tuple(x0[i] for i in range(loop.order)), bandwidth, settings)
-    return _solve_and_sample(problem, x0, t1, ts, settings, is_drawn_well)
-
-
-@eqx.filter_jit
-def _solve_and_sample(
-    problem: Problem,
-    x0: Float[Array | np.ndarray, " n"],
-    t1: RealScalarLike,
-    ts: Float[Array | np.ndarray, " times"],
-    settings: SolverSettings,
-    is_drawn_well: BoolScalarLike,
-) -> Trajectory:
-    loop = problem.loop
-    start = tuple(x0[i] for i in range(loop.order))
-    figures, saved = solve(problem, start, t1, settings, jnp.asarray(ts), is_drawn_well)
-    read = _signals if loop.implementation is None else _sampled_signals
-    signals = jax.vmap(lambda t, y: read(problem, t, y))(jnp.asarray(ts), saved)
-    has_ended = (ts > figures.end_time) | is_refused(figures.outcome)
-    x, desired, e, sigma, rho, u, d = signals
-    x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (x, e))
-    sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (sigma, u))
-    bounds = jnp.stack([jnp.asarray(bound) for bound in problem.error_bounds])
-    told = figures, loop, problem.bandwidth, bounds, problem.settling_time
-    return Trajectory(jnp.asarray(ts), x, desired, e, sigma, rho, u, d, *told)
-
-
-def _signals(problem: Problem, t: Array, y: tuple[Array, ...]) -> tuple[Array, ...]:
-    """State, desired outputs, errors, sigma, rho, u and d at one instant; sigma and u from the funnel coordinate."""
-    loop = problem.loop
-    x, desired, rho = problem.coordinates.state(loop, t, y), loop.desired(t)[:-1], loop.control.funnel(t)
-    s = problem.coordinates.funnel_coordinate(loop, t, y)
-    e = [xi - di for xi, di in zip(x, desired, strict=True)]
-    u = -loop.control.gain_sign * sinh_cosh(s)[0]
-    return jnp.stack(x), jnp.stack(desired), jnp.stack(e), rho * ratio(s), rho, u, jnp.asarray(loop.disturbance(t))
-
-
-def _sampled_signals(problem: Problem, t: Array, saved: tuple[Array, ...]) -> tuple[Array, ...]:
-    """The same of a loop with an implementation, from its state and input."""
-    loop, (*x, u) = problem.loop, saved
-    desired, e = loop.desired(t)[:-1], loop.errors(t, x)
-    sigma, rho, d = jnp.asarray(loop.control.surface(e)), loop.control.funnel(t), jnp.asarray(loop.disturbance(t))
-    return jnp.stack(x), jnp.stack(desired), jnp.stack(e), sigma, rho, u, d
-
-
-def _check_times(ts: np.ndarray, t1: float) -> None:
-    require(ts.ndim == 1 and ts.size > 0, f"Argument `ts` must be a list of times, but has shape {ts.shape}.")
-    require_finite("ts", ts)
-    inside = bool(ts[0] >= 0.0 and ts[-1] <= t1)
-    require(
-        inside, f"Argument `ts` must lie within [0, t1] = [0, {show(t1)}], but spans [{show(ts[0])}, {show(ts[-1])}]."
-    )
-    require(
-        bool(np.all(np.diff(ts) > 0)), "Argument `ts` must increase, but has a time not later than the one before it."
-    )
+_solve_along = entry_point(eqx.filter_jit(solve_along))

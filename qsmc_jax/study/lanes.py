@@ -2,23 +2,21 @@
 
 import dataclasses
 import functools as ft
-import os
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind
 from qsmc_jax.base.compiled import compiled
+from qsmc_jax.base.platforms import platform
 from qsmc_jax.base.precision import in_64_bits
-from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.simulation.stiffness import method_for, stiffness
-from qsmc_jax.study.draw import PointDraw
+from qsmc_jax.simulation.stiffness import method_for
+from qsmc_jax.study.one_run import run, stiffness_at
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
 
@@ -49,17 +47,20 @@ class Lanes:
 
     def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
         """How stiff each of up to `count` runs will be."""
-        program = self._compiled(_stiffness, numbers=0)
+        program = self._compiled(_stiffness, ())
         with in_64_bits():
-            return np.asarray(program(self._filled(points), self._values()))[: len(points)]
+            return np.asarray(program(self._filled(points), self.study.numbers))[: len(points)]
 
     def compile(self, method: str) -> Program:
         """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
-        return self.compile_block(_Block(self.choices(method)))
+        return self.compile_block(_Block(self.choices(method, adjoint="forward")))
 
-    def choices(self, method: str) -> tuple[tuple[str, Any], ...]:
-        """Name and value of what is static in the settings of a block; `compile_block` vectorises the whole of it."""
-        return self.settings.replace(method=method, vectorise=False).choices
+    def choices(self, method: str, **changes: Any) -> tuple[tuple[str, Any], ...]:
+        """Name and value of what is static in the settings of a block; `compile_block` vectorises the whole of it.
+
+        What is not differentiated is made for forward mode, which is the same to the last bit and traced in less time.
+        """
+        return self.settings.replace(method=method, vectorise=False, **changes).choices
 
     def compile_nominal(self) -> None:
         """The program that the nominal run needs, and with it most others."""
@@ -73,41 +74,41 @@ class Lanes:
 
     def solve(self, indices: np.ndarray, points: Float[np.ndarray, "runs dim"], method: str) -> Runs:
         """The rows of up to `count` runs. Lanes left over repeat the first run and are dropped."""
-        return _table(self.study, indices, *self.call(self.compile(method), points))
+        return table(self.study, indices, *self.call(self.compile(method), points))
 
-    def compile_block(self, block: Callable[..., Any]) -> Program:
-        """The program of a block, given points, values, bandwidth and tolerances."""
-        return self._compiled(block, numbers=3)
+    def compile_block(self, block: Callable[..., Any], *more: np.ndarray) -> Callable[..., Any]:
+        """The program of a block, given points, values, bandwidth, tolerances, and what else such a block takes."""
+        return self._compiled(block, ((), (), (), *map(np.shape, more)))
 
-    def call(self, program: Program, points: Float[np.ndarray, "runs dim"]) -> Any:
+    def call(self, program: Callable[..., Any], points: Float[np.ndarray, "runs dim"], *more: np.ndarray) -> Any:
         """What such a program makes of up to `count` points, on the host; rows beyond them mean nothing."""
         numbers = np.float64(self.study.bandwidth), self.settings.rtol, self.settings.atol
         with in_64_bits():
-            return jax.device_get(program(self._filled(points), self._values(), *numbers))
+            return jax.device_get(program(self._filled(points), self.study.numbers, *numbers, *more))
 
-    def _compiled(self, block: Callable[..., Any], numbers: int) -> Program:
+    def _compiled(self, block: Callable[..., Any], rest: tuple[tuple[int, ...], ...]) -> Callable[..., Any]:
         study, vectorise = self.study, self.settings.vectorise
-        return _compiled(block, study.scenario, self._shapes(), study.dimension, self.count, numbers, vectorise)
+        return _compiled(block, study.scenario, self._shapes(), study.dimension, self.count, rest, vectorise)
 
     def _filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
         """The points, and the first again for every lane left over."""
         return np.concatenate([points, np.repeat(points[:1], self.count - len(points), axis=0)])
 
     def _shapes(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
-        """Name and shape of each of `values`."""
-        return tuple((name, value.shape) for name, value in self._values().items())
-
-    def _values(self) -> dict[str, np.ndarray]:
-        """Every parameter and every substituted name: data, so that no value is compiled in."""
-        parameters = {spec.name: spec.nominal for spec in self.study.specs if spec.kind == "parameter"}
-        return {name: np.asarray(value) for name, value in sorted({**parameters, **self.study.values}.items())}
+        """Name and shape of each of the study's numbers."""
+        return tuple((name, value.shape) for name, value in self.study.numbers.items())
 
 
 def thread_count(threads: int | None) -> int:
-    """Blocks to be solved at the same time; None stands for one a core."""
-    count = os.cpu_count() or 1 if threads is None else threads
+    """Blocks to be solved at the same time; None stands for what suits the platform."""
+    count = platform().threads if threads is None else threads
     require_count("threads", count)
     return count
+
+
+def block_size(block: int | None) -> int:
+    """Runs to be solved together; None stands for what suits the platform."""
+    return platform().block if block is None else block
 
 
 @ft.lru_cache(maxsize=64)
@@ -117,25 +118,21 @@ def _compiled(
     shapes: tuple[tuple[str, tuple[int, ...]], ...],
     dim: int,
     count: int,
-    numbers: int,
+    rest: tuple[tuple[int, ...], ...],
     vectorise: bool,
-) -> Program:
-    """The program of `block(scenario, points, values, *numbers)` for arguments of the given shapes."""
+) -> Callable[..., Any]:
+    """The program of `block(scenario, points, values, *rest)` for arguments of the given shapes."""
     with in_64_bits():
         points = jax.ShapeDtypeStruct((count, dim), np.float64)
         values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
-        rest = (jax.ShapeDtypeStruct((), np.float64),) * numbers
-        return compiled(ft.partial(block, scenario), points, values, *rest, vectorise=vectorise)
+        others = (jax.ShapeDtypeStruct(shape, np.float64) for shape in rest)
+        return compiled(ft.partial(block, scenario), points, values, *others, vectorise=vectorise)
 
 
 def _stiffness(
     scenario: Callable[[Any], Any], points: Float[Array, "lanes dim"], values: Mapping[str, Array]
 ) -> Float[Array, " lanes"]:
-    def of_run(point: Float[Array, " dim"]) -> Float[Array, ""]:
-        made = scenario(PointDraw(point, values))
-        return jnp.asarray(stiffness(made.loop, made.x0, jnp.asarray(made.t1)))
-
-    return jax.vmap(of_run)(points)
+    return jax.vmap(ft.partial(stiffness_at, scenario, values))(points)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,23 +154,7 @@ class _Block:
         return jax.vmap(ft.partial(run, scenario, settings, bandwidth, values))(points)
 
 
-def run(
-    scenario: Callable[[Any], Any],
-    settings: SolverSettings,
-    bandwidth: Float[Array, ""],
-    values: Mapping[str, Array],
-    point: Float[Array, " dim"],
-) -> tuple[dict[str, Array], Figures]:
-    """One run: from a point of the unit cube to the values of its names and its figures."""
-    draw = PointDraw(point, values)
-    made = scenario(draw)
-    x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    problem = pose(made.loop, x0, bandwidth, settings)
-    figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
-    return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
-
-
-def _table(study: Study, indices: np.ndarray, record: Mapping[str, np.ndarray], figures: Figures) -> Runs:
+def table(study: Study, indices: np.ndarray, record: Mapping[str, np.ndarray], figures: Figures) -> Runs:
     """The rows of the runs asked for, drawn values first."""
     rows = len(indices)
     columns = {"index": np.asarray(indices, np.int64)}

@@ -8,15 +8,12 @@ import numpy as np
 
 from qsmc_jax.base.checks import require_count, require_kind
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import Lanes, thread_count
+from qsmc_jax.study.lanes import Lanes, block_size, thread_count
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.study.windows import Piece, Planner, reassembled
-
-# Small enough that a sample for the numerical error and a few doubtful runs cost little, large enough to vectorise.
-BLOCK = 512
 
 Progress = Callable[[int, int], None]
 
@@ -28,7 +25,7 @@ def monte_carlo(
     *,
     sampling: AbstractSampling | None = None,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Runs:
@@ -43,8 +40,8 @@ def monte_carlo(
         seed: Seed, 0 <= seed < 2**63.
         sampling: Where the runs lie in the unit cube: `Random()` (None), `Sobol()` or `LatinHypercube(runs)`.
         settings: Method and tolerances; None for the defaults.
-        block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         progress: Called as `progress(done, runs)` after each block.
 
     Returns:
@@ -76,7 +73,7 @@ def stream(
     *,
     sampling: AbstractSampling | None = None,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
     workload: Workload | None = None,
@@ -93,8 +90,8 @@ def stream(
         seed: Seed of the study.
         sampling: As for `monte_carlo`.
         settings: Method and tolerances; None for the defaults.
-        block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         progress: Called as `progress(done, len(indices))` after each block.
         workload: Told what each block cost.
         planner: What earlier calls for the same study, seed, sampling, settings and block learned; None to begin anew.
@@ -111,6 +108,7 @@ def stream(
         [[17, 3]]
     """
     require_study(study)
+    block = block_size(block)
     lanes = Lanes(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
     require_kind(
@@ -138,6 +136,7 @@ def _in_order(lanes: Lanes, pieces: Iterator[Piece], threads: int) -> Iterator[t
     with ThreadPoolExecutor(threads) as pool:
         try:
             for piece in pieces:
+                lanes.compile(piece.method)  # here, or each thread would
                 pending.append((piece, pool.submit(lanes.solve, piece.indices, piece.points, piece.method)))
                 if len(pending) >= 2 * threads:
                     piece, future = pending.popleft()

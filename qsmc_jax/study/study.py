@@ -8,16 +8,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import require, require_finite, require_kind
-from qsmc_jax.base.module import AbstractModule, float_field, require_fields
+from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind
+from qsmc_jax.base.module import AbstractModule, as_float64, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.short_repr import short_repr
-from qsmc_jax.base.types import BoolScalarLike, Draw
+from qsmc_jax.base.types import Draw
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.simulation.sampled_signals import grid_of
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.simulation.stiffness import stiffness, with_method
-from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn
+from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
+from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn, trajectory
 from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
+from qsmc_jax.study.one_run import program, run_along, stiffness_at
 from qsmc_jax.study.sampling import AbstractSampling, Random
 
 
@@ -108,7 +110,13 @@ class Study:
     @ft.cached_property
     def stiffness(self) -> float:
         """How stiff the nominal run is; see `stiffness` in simulation/stiffness.py."""
-        return float(stiffness(self.nominal.loop, self.nominal.x0, self.nominal.t1))
+        return float(self._stiffness_at(self._median))
+
+    @ft.cached_property
+    def numbers(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """Every parameter and every substituted name, by name: data, so that no value is compiled in."""
+        parameters = {spec.name: spec.nominal for spec in self.specs if spec.kind == "parameter"}
+        return {name: as_float64(value) for name, value in sorted({**parameters, **self.values}.items())}
 
     def substitute(self, **values: Any) -> "Study":
         """The same study with the given names fixed: parameters at other values, or distributions at a number.
@@ -144,14 +152,16 @@ class Study:
             ts: Times [s] at which to give the signals; None for 2001 evenly spaced.
             settings: Method and tolerances; None for the defaults.
         """
-        draw = PointDraw((sampling or Random()).points(seed, [index], self.dimension)[0], self.values)
+        point = (sampling or Random()).points(seed, [index], self.dimension)[0]
+        draw = PointDraw(point, self.values)
         try:
             made = _call(self.scenario, draw)
         except ValueError:
             if draw.is_valid:
                 raise
-            made = self.nominal
-        return self._simulate(made, ts, settings, draw.is_valid)
+            loop, x0, t1 = self.nominal.loop, self.nominal.x0, self.nominal.t1
+            return simulate_drawn(loop, x0, t1, self.bandwidth, ts, settings, draw.is_valid)
+        return self._solve(made, point, ts, settings)
 
     def simulate(
         self, *, ts: Float[np.ndarray, " times"] | None = None, settings: SolverSettings | None = None
@@ -162,14 +172,24 @@ class Study:
             ts: Times [s] at which to give the signals; None for 2001 evenly spaced.
             settings: Method and tolerances; None for the defaults.
         """
-        return self._simulate(self.nominal, ts, settings, np.True_)
+        return self._solve(self.nominal, self._median, ts, settings)
 
-    def _simulate(
-        self, scenario: Scenario, ts: Any, settings: SolverSettings | None, is_drawn_well: BoolScalarLike
-    ) -> Trajectory:
-        loop, x0, t1 = scenario.loop, scenario.x0, scenario.t1
-        settings = with_method(settings or SolverSettings(), loop, x0, t1, self.stiffness)
-        return simulate_drawn(loop, x0, t1, self.bandwidth, ts, settings, is_drawn_well)
+    def _solve(self, made: Scenario, point: np.ndarray, ts: Any, settings: SolverSettings | None) -> Trajectory:
+        """Solves the run at a point, of which the scenario made this."""
+        settings = settings or SolverSettings()
+        if settings.method in BY_STIFFNESS:
+            own = 0.0 if is_traced(self.numbers) else float(self._stiffness_at(point))
+            settings = settings.replace(method=method_for(own, self.stiffness, settings.method))
+        ts, bandwidth = grid_of(ts, made.t1), as_float64(self.bandwidth)
+        _, course = program(run_along, self.scenario)(settings, bandwidth, ts, self.numbers, point)
+        return trajectory(made.loop, bandwidth, ts, course)
+
+    def _stiffness_at(self, point: np.ndarray) -> Any:
+        return program(stiffness_at, self.scenario)(self.numbers, point)
+
+    @property
+    def _median(self) -> np.ndarray:
+        return np.full(self.dimension, 0.5)
 
 
 def require_study(study: Any, name: str = "study") -> None:

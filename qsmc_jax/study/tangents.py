@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
-from qsmc_jax.study.lanes import Lanes, run, thread_count
+from qsmc_jax.study.lanes import Lanes, thread_count
+from qsmc_jax.study.one_run import run
 from qsmc_jax.study.sampling import Random
 from qsmc_jax.study.study import Study
 
@@ -62,7 +63,7 @@ def differentiate(
         metrics: Columns of the table of runs, each a number with a derivative.
         settings: Method, tolerances, and the mode: `adjoint="forward"` for a few names, `"reverse"` for many.
         block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
 
     Returns:
         The figures and derivatives, on the host.

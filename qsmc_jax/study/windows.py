@@ -19,7 +19,7 @@ FIRST_WINDOW, WINDOW = 4, 16
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """Runs to be solved together: their rows in the window, their indices, points and method."""
+    """Runs to be solved together: their places among all asked for, their indices, points and method."""
 
     rows: np.ndarray
     indices: np.ndarray
@@ -43,10 +43,10 @@ class Planner:
         """All pieces, in the order of their windows. As long as nothing is known a small one comes first, to learn."""
         start, size = 0, (WINDOW if self._schedules else FIRST_WINDOW) * self._lanes.count
         while start < len(indices):
-            yield from self._window(np.asarray(indices[start : start + size], dtype=np.int64))
+            yield from self._window(start, np.asarray(indices[start : start + size], dtype=np.int64))
             start, size = start + size, WINDOW * self._lanes.count
 
-    def _window(self, indices: np.ndarray) -> Iterator[Piece]:
+    def _window(self, start: int, indices: np.ndarray) -> Iterator[Piece]:
         block, dim = self._lanes.count, self._lanes.study.dimension
         chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
         chunked = [self._sampling.points(self._seed, chunk, dim) for chunk in chunks]
@@ -57,8 +57,7 @@ class Planner:
             rows = rows[self._schedules[method].order(points[rows], stiffness[rows])]
             parts += [(method, rows[i : i + block]) for i in range(0, len(rows), block)]
         for number, (method, rows) in enumerate(parts):
-            self._lanes.compile(method)
-            yield Piece(rows, indices[rows], points[rows], method, number == len(parts) - 1)
+            yield Piece(start + rows, indices[rows], points[rows], method, number == len(parts) - 1)
 
     def _methods(self, chunked: list[Float[np.ndarray, "_ dim"]]) -> tuple[np.ndarray, np.ndarray]:
         """The method for each run, and how stiff it will be if that has a say."""

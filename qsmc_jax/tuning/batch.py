@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import LANE_MULTIPLE, thread_count
+from qsmc_jax.study.lanes import LANE_MULTIPLE, block_size, thread_count
 from qsmc_jax.study.monte_carlo import monte_carlo
 from qsmc_jax.study.study import Study
 from qsmc_jax.study.tangents import differentiate
@@ -89,8 +89,8 @@ class Batch:
         runs: How many runs.
         seed: Their seed.
         settings: Method, tolerances and mode of differentiation.
-        block: Runs solved together at most.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together at most; None for what suits the platform.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         attempt: Number of the design.
         tell: Told each evaluation.
         allowed: Part of the runs that may be inadmissible.
@@ -106,7 +106,7 @@ class Batch:
     runs: int
     seed: int
     settings: SolverSettings
-    block: int
+    block: int | None
     threads: int | None
     attempt: int
     tell: Callable[[Evaluation], None] | None
@@ -179,7 +179,7 @@ class Batch:
     def _block(self) -> int:
         """Small enough that every thread has work, a multiple of 64."""
         each = -(-self.runs // (thread_count(self.threads) * LANE_MULTIPLE)) * LANE_MULTIPLE
-        return min(self.block, each)
+        return min(block_size(self.block), each)
 
     def _keep(
         self, gains: dict[str, float], table: Mapping[str, np.ndarray], columns: Mapping[str, np.ndarray], start: int

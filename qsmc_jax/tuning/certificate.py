@@ -120,7 +120,7 @@ def certify(
     risk: float,
     confidence: float,
     settings: SolverSettings,
-    block: int,
+    block: int | None,
     threads: int | None,
     progress: Progress | None,
 ) -> list[Certificate]:
@@ -136,7 +136,7 @@ def certify(
         risk: The probability of failure to be shown.
         confidence: That all intervals of all candidates hold together.
         settings: Method and tolerances.
-        block: Runs solved together.
+        block: Runs solved together; None for what suits the platform.
         threads: Blocks solved at the same time.
         progress: Called as `progress(done, all)`.
     """

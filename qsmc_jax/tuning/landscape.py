@@ -10,7 +10,6 @@ from jaxtyping import Float
 from qsmc_jax.base.checks import require, require_count, require_kind, require_list
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Batch
 from qsmc_jax.tuning.box import box_of
@@ -111,7 +110,7 @@ def landscape(
     seed: int = 0,
     mark: Mapping[str, Mapping[str, float]] | None = None,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Landscape:
@@ -128,7 +127,7 @@ def landscape(
         seed: Their seed.
         mark: Gains to be marked in the Pareto front, by label.
         settings: Method and tolerances.
-        block: Runs solved together at most.
+        block: Runs solved together at most, a multiple of 64; None for what suits the platform.
         threads: Blocks solved at the same time.
         progress: Called as `progress(done, all)` after each cell.
 

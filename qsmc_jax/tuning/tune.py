@@ -9,7 +9,7 @@ from scipy.stats import qmc
 from qsmc_jax.base.checks import require, require_count, require_fraction, require_list
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.monte_carlo import BLOCK, Progress
+from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Batch, Evaluation
 from qsmc_jax.tuning.box import box_of
@@ -47,7 +47,7 @@ def tune(
     confidence: float = 0.95,
     designs: int = 3,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     tell: Callable[[Evaluation], None] | None = None,
     progress: Progress | None = None,
@@ -84,8 +84,8 @@ def tune(
         designs: Designs at most.
         settings: Method, tolerances and, by `adjoint`, the mode of differentiation; None for forward mode;
             reverse mode suits many parameters and runs of at most 4096 steps.
-        block: Runs solved together at most, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together at most, a multiple of 64; None for what suits the platform.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         tell: Called with each evaluation.
         progress: Called as `progress(done, all)` while certifying.
 

@@ -11,7 +11,7 @@ from qsmc_jax.base.notebook import as_html
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.monte_carlo import BLOCK, Progress
+from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.comparison_plots import plot_comparison
@@ -192,7 +192,7 @@ def compare(
     *,
     metrics: Sequence[str] | None = None,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -210,8 +210,8 @@ def compare(
         metrics: Figures to compare, columns of every study; None for peaks, energy, variation and error, and the
             chattering figures of the studies that have them.
         settings: Method and tolerances of the first solve; None for the defaults.
-        block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         progress: Called as `progress(done, runs * len(studies))` after each block.
 
     Returns:

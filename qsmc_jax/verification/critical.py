@@ -12,7 +12,7 @@ from qsmc_jax.base.scales import spans_decade
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
-from qsmc_jax.study.monte_carlo import BLOCK, Progress
+from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.critical_result import CriticalTest, CriticalValue, Side
 from qsmc_jax.verification.decided import decide, part_of
@@ -55,7 +55,7 @@ def critical_value(
     steps: int = 12,
     budget_per_test: int | None = None,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> CriticalValue:
@@ -83,8 +83,8 @@ def critical_value(
         steps: Values to be tested after the two ends, at least 0.
         budget_per_test: Most runs of a test, at least N; None for 4 N.
         settings: Method and tolerances of the first solve; None for the defaults.
-        block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         progress: Called as `progress(done, most)` after each block, `most` if every test takes all its runs.
 
     Returns:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.lanes import block_size
 from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -19,7 +20,7 @@ def decide(
     seed: int,
     *,
     settings: SolverSettings,
-    block: int,
+    block: int | None,
     threads: int | None,
     progress: Progress | None,
 ) -> Iterator[Runs]:
@@ -30,12 +31,12 @@ def decide(
         indices: Indices of the runs.
         seed: Seed of the study.
         settings: Method and tolerances of the first solve.
-        block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         progress: Called as `progress(done, len(indices))` after each block.
     """
     solve = ft.partial(stream, study, seed=seed, block=block, threads=threads)
-    escalation = Escalation(solve, Rungs.of(study, settings), block)
+    escalation = Escalation(solve, Rungs.of(study, settings), block_size(block))
     yield from through(escalation, solve(indices, settings=settings, progress=progress))
 
 

@@ -1,5 +1,6 @@
 """Escalation: no violated or undecided run is believed at the first solve, none is dropped, none outvoted."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -8,6 +9,8 @@ from jaxtyping import Bool, Int
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate, replace_rows
 from qsmc_jax.verification.rungs import RUNGS, Rungs
+
+_LOG = logging.getLogger(__name__)
 
 # By how much `peak_u` may exceed its bound before it counts as a breach: what solving and interpolating at the default
 # tolerance explain, and no more.
@@ -73,6 +76,7 @@ class Escalation:
             if not len(rows):
                 break
             self.escalated[rung - 1] += len(rows)
+            _LOG.info("solving %d doubtful runs again, for the %s time", len(rows), ("first", "second")[rung - 1])
             again = concatenate(list(self._solve(table["index"][rows], **self._rungs.options(rung))))
             tables.append(replace_rows(tables[-1], rows, again))
             verdicts.append(np.full_like(verdicts[0], Verdict.UNDECIDED))

@@ -1,6 +1,7 @@
 """How much the numbers of a verification owe to the solve: a sample and the worst runs, solved again another way."""
 
 import dataclasses
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import TypeAlias
@@ -12,6 +13,8 @@ from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.verification.escalation import said
 from qsmc_jax.verification.rungs import RUNGS, Rungs
+
+_LOG = logging.getLogger(__name__)
 
 # Runs that are kept to be solved again. A fault that changes one verdict in 100 is met in 99 % of samples of this size.
 SAMPLE = 512
@@ -127,6 +130,7 @@ def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, tup
     _, first = np.unique(rows["index"], return_index=True)
     rows = rows.take(first)
     rows = rows.take((rows["verdict"] == Verdict.HELD) | (rows["verdict"] == Verdict.VIOLATED))
+    _LOG.info("solving %d runs another way, as a check", len(rows))
     parts = [rows.take(rows["rung"] == rung) for rung in range(RUNGS)]
     pairs = [
         (part, concatenate(list(solve(part["index"], **rungs.options(rungs.check_of(rung))))))

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, one_axes, panels
+from qsmc_jax.study.signals import signals
 from qsmc_jax.verification.summary import Histogram
 
 if TYPE_CHECKING:
@@ -55,19 +56,18 @@ def _funnel(ax: Any, result: "Verification") -> None:
     study, eps = result.study, float(result.study.bandwidth)
     ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
     count = min(_BAND_RUNS, result.runs)
-    runs = [study.replay(i, result.seed) for i in range(count)]
-    sigma = np.array([np.interp(ts, run.ts, run.sigma, right=np.nan) for run in runs])
+    sigma = signals(study, range(count), result.seed, ts=ts, settings=result.settings).sigma
     alive = np.isfinite(sigma).any(axis=0)
     for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
         quantiles = np.nanquantile(sigma[:, alive], (low, high), axis=0)
         label = f"all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
         ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
-    index = int(result.worst["index"][0])
-    worst = study.replay(index, result.seed)
+    row = result.worst.row(0)
+    worst = study.replay(row["index"], result.seed, settings=result.settings_of(row))
     for sign in (-1.0, 1.0):
         ax.plot(worst.ts, sign * worst.rho, color=RED, label=r"$\pm\rho$" if sign > 0 else None)
         ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
-    ax.plot(worst.ts, worst.sigma, color=BLUE, lw=1.0, label=f"worst, run {index}")
+    ax.plot(worst.ts, worst.sigma, color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
     ax.axvline(worst.reaching_time, ls=":", color=ORANGE, label=f"$t_r$ = {worst.reaching_time:.4g} s")
     ax.set_yscale("symlog", linthresh=2.0 * eps)
     ax.set(title="Sliding variable in its funnel", xlabel="t [s]", ylabel=r"$\sigma$ (linear below 2 $\varepsilon$)")

@@ -14,7 +14,7 @@ from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
-from qsmc_jax.study.monte_carlo import BLOCK, Progress
+from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.decided import decide, part_of
@@ -198,7 +198,7 @@ def robustness_map(
     confidence: float = 0.95,
     *,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> RobustnessMap:
@@ -216,8 +216,8 @@ def robustness_map(
         seed: Seed, 0 <= seed < 2**63.
         confidence: That all intervals of one claim hold together, strictly between 0 and 1.
         settings: Method and tolerances of the first solve; None for the defaults.
-        block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         progress: Called as `progress(done, runs * cells)` after each block.
 
     Returns:

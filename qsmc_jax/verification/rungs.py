@@ -1,11 +1,14 @@
 """The solves that a run may get until it is decided, and the one that checks it."""
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import OTHER
-from qsmc_jax.study.lanes import LANE_MULTIPLE
+from qsmc_jax.study.lanes import LANE_MULTIPLE, Lanes
 from qsmc_jax.study.study import Study
 
 # Rungs that decide; one more only checks.
@@ -50,6 +53,22 @@ class Rungs:
         settings = self.settings[rung]
         is_same_program = settings.choices == self.settings[0].choices
         return {"settings": settings} if is_same_program else {"settings": settings, "block": LANE_MULTIPLE}
+
+    @contextlib.contextmanager
+    def compiling_check(self, study: Study) -> Iterator[None]:
+        """Meanwhile a thread compiles what checks rung 0, which is needed last; the end waits for it.
+
+        Args:
+            study: The study.
+        """
+        with ThreadPoolExecutor(1) as aside:
+            options = self.options(self.check_of(0))
+            # Without a number of lanes of its own it is the program that solves.
+            lanes = Lanes(study, options["settings"], options["block"]) if "block" in options else None
+            compiled = aside.submit(lanes.compile_nominal) if lanes else None
+            yield
+            if compiled:
+                compiled.result()
 
     def check_of(self, rung: int) -> int:
         """The rung that checks what was decided on one: at least as firm, and by another method or other cells.

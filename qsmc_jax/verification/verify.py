@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import Lanes, thread_count
-from qsmc_jax.study.monte_carlo import BLOCK, Progress, stream
+from qsmc_jax.study.lanes import Lanes, block_size, thread_count
+from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.sampling import AbstractSampling, Random, require_seed
 from qsmc_jax.study.schedule import Workload
@@ -31,7 +31,7 @@ def verify(
     worst: int = 5,
     sampling: AbstractSampling | None = None,
     settings: SolverSettings | None = None,
-    block: int = BLOCK,
+    block: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
     sink: Sink | None = None,
@@ -52,8 +52,8 @@ def verify(
         worst: How many of the worst runs to report, at least 1.
         sampling: `Random()` (None). Designs whose points are not independent are refused.
         settings: Method and tolerances of the first solve; None for the defaults.
-        block: Runs solved together, a multiple of 64.
-        threads: Blocks solved at the same time; None for one a core.
+        block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
+        threads: Blocks solved at the same time; None for one a core of a CPU.
         progress: Called as `progress(done, runs)` after each block.
         sink: Called with each table of final rows, in no particular order.
         until: Stops earlier, by a rule that looks every 32768 runs: `UntilBelow(1e-3)`, `UntilWidth(1e-3)` or
@@ -76,25 +76,26 @@ def verify(
     require_study(study)
     check_request(runs, confidence, worst, until)
     require_seed(seed)
-    threads = thread_count(threads)
+    threads, block = thread_count(threads), block_size(block)
     settings, sampling = settings or SolverSettings(), sampling or Random()
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
     Lanes(study, settings, block).compile_nominal()
-    workload, evidence = Workload(), Evidence(study, worst)
-    escalation = Escalation(solve, Rungs.of(study, settings), block)
+    workload, evidence, rungs = Workload(), Evidence(study, worst), Rungs.of(study, settings)
+    escalation = Escalation(solve, rungs, block)
     begin, decision, look = time.perf_counter(), None, runs if until is None else LOOK
-    for start in range(0, runs, look):
-        part = range(start, min(start + look, runs))
-        options = {"settings": settings, "workload": workload, "progress": part_of(progress, start, runs)}
-        for table in through(escalation, solve(part, **options)):
-            evidence.add(table)
-            if sink is not None:
-                sink(table)
-        decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
-        if decision is not None:
-            break
-    seconds = time.perf_counter() - begin
+    with rungs.compiling_check(study):
+        for start in range(0, runs, look):
+            part = range(start, min(start + look, runs))
+            options = {"settings": settings, "workload": workload, "progress": part_of(progress, start, runs)}
+            for table in through(escalation, solve(part, **options)):
+                evidence.add(table)
+                if sink is not None:
+                    sink(table)
+            decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
+            if decision is not None:
+                break
+        seconds = time.perf_counter() - begin
     effort = Effort(tuple(escalation.escalated), tuple(escalation.defects), workload.occupancy, seconds)
     about = {"seed": seed, "confidence": confidence, "settings": settings}
     return evidence.conclude(solve, effort, **about, is_anytime=until is not None, decision=decision)

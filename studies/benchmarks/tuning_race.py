@@ -22,7 +22,6 @@ from scipy import optimize
 import qsmc_jax as qj
 from qsmc_jax.base.plotting import BLUE, GREEN, ORANGE, one_axes
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.monte_carlo import BLOCK
 from qsmc_jax.tuning.batch import Batch, Evaluation
 from qsmc_jax.tuning.box import box_of
 from qsmc_jax.tuning.objectives import parse_constraint, parse_objective
@@ -80,7 +79,7 @@ def training_runs(runs: int, seed: int) -> Batch:
     constraints = tuple(map(parse_constraint, SUBJECT_TO))
     settings = SolverSettings(adjoint="forward")
     objective = parse_objective(OBJECTIVE)
-    return Batch(STUDY, box_of(STUDY, NAMES), objective, constraints, runs, seed, settings, BLOCK, None, 0, None)
+    return Batch(STUDY, box_of(STUDY, NAMES), objective, constraints, runs, seed, settings, None, None, 0, None)
 
 
 def penalised(batch: Batch, scale: float) -> Callable[[Any], float]:

@@ -1,0 +1,112 @@
+"""A solve read off along a time grid: states, errors, sliding variable, funnel, input, disturbance."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require, require_finite, show
+from qsmc_jax.base.gudermann import ratio, sinh_cosh
+from qsmc_jax.base.module import as_float64
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.simulation.engine import pose, solve
+from qsmc_jax.simulation.figures import Figures, is_refused
+from qsmc_jax.simulation.settings import INSTANT, SolverSettings
+from qsmc_jax.simulation.tally import Problem
+
+_DEFAULT_TIMES = 2001
+
+
+class Signals(NamedTuple):
+    """All signals of one run, by the names they have in a `Trajectory`; NaN after its end."""
+
+    x: Float[Array, "times n"]
+    desired: Float[Array, "times n"]
+    e: Float[Array, "times n"]
+    sigma: Float[Array, " times"]
+    rho: Float[Array, " times"]
+    u: Float[Array, " times"]
+    d: Float[Array, " times"]
+
+
+class Course(NamedTuple):
+    """One run in full: its figures, its signals, and the thresholds that they were judged by."""
+
+    figures: Figures
+    signals: Signals
+    error_bounds: Float[Array, " n"]
+    settling_time: Float[Array, ""]
+
+
+def solve_along(
+    loop: ClosedLoop,
+    x0: Float[Array | np.ndarray, " n"],
+    t1: RealScalarLike,
+    bandwidth: RealScalarLike,
+    ts: Float[Array | np.ndarray, " times"],
+    settings: SolverSettings,
+    is_drawn_well: BoolScalarLike = True,
+) -> Course:
+    """Solves one run and reads its signals at the times; pure, to be compiled.
+
+    Args:
+        loop: The closed loop.
+        x0: The start, n numbers.
+        t1: The horizon [s], positive.
+        bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
+        ts: Times [s], increasing, from 0 on; those beyond the horizon count as after the end.
+        settings: Method and tolerances.
+        is_drawn_well: Whether what was drawn for the run had arguments in range.
+    """
+    start, ts = tuple(x0[i] for i in range(loop.order)), jnp.asarray(ts)
+    problem = pose(loop, start, bandwidth, settings)
+    figures, saved = solve(problem, start, t1, settings, jnp.minimum(ts, t1), is_drawn_well)
+    read = _ideal if loop.implementation is None else _implemented
+    signals = jax.vmap(lambda t, y: read(problem, t, y))(ts, saved)
+    # A horizon that was computed elsewhere may differ in its last place.
+    has_ended = (ts * (1.0 - INSTANT) > figures.end_time) | is_refused(figures.outcome)
+    x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (signals.x, signals.e))
+    sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (signals.sigma, signals.u))
+    bounds = jnp.stack([jnp.asarray(bound) for bound in problem.error_bounds])
+    told = signals._replace(x=x, e=e, sigma=sigma, u=u)
+    return Course(figures, told, bounds, jnp.asarray(problem.settling_time))
+
+
+def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:
+    """The times to read at: those asked for, or 2001 evenly spaced on [0, t1].
+
+    Raises:
+        InputError: They do not increase, or not all of them lie within [0, t1].
+    """
+    t1 = float(t1)
+    if ts is None:
+        return np.linspace(0.0, t1, _DEFAULT_TIMES)
+    grid = as_float64(ts)
+    require(grid.ndim == 1 and grid.size > 0, f"Argument `ts` must be a list of times, but has shape {grid.shape}.")
+    require_finite("ts", grid)
+    inside, ends = bool(grid[0] >= 0.0 and grid[-1] <= t1), f"[{show(grid[0])}, {show(grid[-1])}]"
+    require(inside, f"Argument `ts` must lie within [0, t1] = [0, {show(t1)}], but spans {ends}.")
+    increases = bool(np.all(np.diff(grid) > 0))
+    require(increases, "Argument `ts` must increase, but has a time not later than the one before it.")
+    return grid
+
+
+def _ideal(problem: Problem, t: Array, y: tuple[Array, ...]) -> Signals:
+    """All signals at one instant; sigma and u from the funnel coordinate."""
+    loop = problem.loop
+    x, desired, rho = problem.coordinates.state(loop, t, y), loop.desired(t)[:-1], loop.control.funnel(t)
+    s = problem.coordinates.funnel_coordinate(loop, t, y)
+    e = [xi - di for xi, di in zip(x, desired, strict=True)]
+    u, d = -loop.control.gain_sign * sinh_cosh(s)[0], jnp.asarray(loop.disturbance(t))
+    return Signals(jnp.stack(x), jnp.stack(desired), jnp.stack(e), rho * ratio(s), rho, u, d)
+
+
+def _implemented(problem: Problem, t: Array, saved: tuple[Array, ...]) -> Signals:
+    """The same of a loop with an implementation, from its state and input."""
+    loop, (*x, u) = problem.loop, saved
+    desired, e = loop.desired(t)[:-1], loop.errors(t, x)
+    sigma, rho, d = jnp.asarray(loop.control.surface(e)), loop.control.funnel(t), jnp.asarray(loop.disturbance(t))
+    return Signals(jnp.stack(x), jnp.stack(desired), jnp.stack(e), sigma, rho, u, d)

@@ -1,0 +1,66 @@
+"""One run of a scenario as pure functions of its point of the unit cube: what batches vmap and replays compile."""
+
+import functools as ft
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.simulation.engine import pose, solve
+from qsmc_jax.simulation.figures import Figures
+from qsmc_jax.simulation.sampled_signals import Course, solve_along
+from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.stiffness import stiffness
+from qsmc_jax.study.draw import PointDraw
+
+Values = Mapping[str, Array]
+
+
+def run(
+    scenario: Callable[[Any], Any],
+    settings: SolverSettings,
+    bandwidth: Float[Array, ""],
+    values: Values,
+    point: Float[Array, " dim"],
+) -> tuple[dict[str, Array], Figures]:
+    """The values of a run's names, and its figures."""
+    draw = PointDraw(point, values)
+    made = scenario(draw)
+    x0 = tuple(made.x0[i] for i in range(made.loop.order))
+    problem = pose(made.loop, x0, bandwidth, settings)
+    figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
+    return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
+
+
+def run_along(
+    scenario: Callable[[Any], Any],
+    settings: SolverSettings,
+    bandwidth: Float[Array, ""],
+    ts: Float[Array, " times"],
+    values: Values,
+    point: Float[Array, " dim"],
+) -> tuple[dict[str, Array], Course]:
+    """The values of a run's names, its figures and its signals at the times."""
+    draw = PointDraw(point, values)
+    made = scenario(draw)
+    course = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, draw.is_valid)
+    return {name: jnp.asarray(value) for name, value in draw.record.items()}, course
+
+
+def stiffness_at(scenario: Callable[[Any], Any], values: Values, point: Float[Array, " dim"]) -> Float[Array, ""]:
+    """How stiff a run will be; see simulation/stiffness.py."""
+    made = scenario(PointDraw(point, values))
+    return jnp.asarray(stiffness(made.loop, made.x0, jnp.asarray(made.t1)))
+
+
+@ft.lru_cache(maxsize=64)
+def program(function: Callable[..., Any], scenario: Callable[[Any], Any]) -> Callable[..., Any]:
+    """One of the functions above for a single run, compiled once for each scenario, whatever the numbers are.
+
+    A scenario may make functions anew in every call, a plant with a `lambda` in it: since it is called inside the
+    program, that compiles nothing.
+    """
+    return entry_point(eqx.filter_jit(ft.partial(function, scenario)))
