@@ -131,6 +131,30 @@ def test_two_shards_race_on_one_folder(tmp_path, whole):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="needs the extra `cluster`")
+@pytest.mark.parametrize("attempt", range(20))
+def test_two_start_at_once_on_a_folder_that_is_not_there(tmp_path, attempt):
+    """Both come to the same verdict, or one is told why not; the rows are those of one campaign."""
+    path = tmp_path / "run"
+    command = ["verify", STUDY, "--runs", "256", "--file-runs", "64", "--block", "64", "--threads", "1", "--out", path]
+    both = [start(*command) for _ in range(2)]
+    for process in both:
+        out, err = process.communicate(timeout=300)
+        assert process.returncode == 0, out + err
+        assert "Traceback" not in out + err
+    assert rows(path)["index"].tolist() == list(range(256))
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["run"]
+
+
+def test_two_studies_start_at_once_on_a_folder_that_is_not_there(tmp_path):
+    """One makes it; the other is refused, naming what differs."""
+    path = tmp_path / "run"
+    command = ["verify", STUDY, "--runs", "64", "--file-runs", "64", "--block", "64", "--threads", "1", "--out", path]
+    both = [start(*command, "--seed", str(seed)) for seed in (1, 2)]
+    texts = ["".join(process.communicate(timeout=300)) for process in both]
+    assert sorted(process.returncode for process in both) == [0, 2], texts
+    assert any("seed" in text and "new folder" in text for text in texts), texts
+
+
 def test_a_dask_worker_is_killed(tmp_path, whole):
     path = tmp_path / "run"
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]

@@ -1,9 +1,14 @@
 """A newcomer's path: `qsmc init`, a verification of what it wrote, `qsmc doctor`."""
 
+import json
+import os
+import platform
 import runpy
 import subprocess
 import sys
+from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -53,8 +58,20 @@ def test_init_overwrites_nothing_and_says_why(tmp_path, name, message):
 
 @pytest.mark.slow
 def test_doctor_says_what_there_is_and_tries_a_solve():
-    program = "from qsmc_jax.cli.main import app; app(['doctor', '--no-cache'])"
+    program = "from qsmc_jax.cli.main import app; app(['doctor', '--no-cache', '--json'])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    for part in ("python 3.", "jax 0.", "devices: cpu", "cores:", "default is float32", "Example 1 of the paper: HELD"):
-        assert part in done.stdout
-    assert "elementary functions under the batches' compiler options: right" in done.stdout
+    facts = json.loads(done.stdout)
+    assert facts["is_well"] is True
+    assert facts["python"].startswith(platform.python_version())
+    assert facts["jax"] == jax.__version__
+    assert facts["devices"].startswith("cpu")
+    assert facts["cores"] == os.cpu_count()
+    assert "default is float32" in facts["precision"]
+    assert facts["Example 1 of the paper"].startswith("HELD")
+    assert facts["elementary functions under the batches' compiler options"] == "right"
+
+
+def test_init_says_in_json_where_it_wrote(tmp_path):
+    done = qsmc("init", tmp_path / "new.py", "--json")
+    assert done.exit_code == 0
+    assert Path(json.loads(done.stdout)["written"]).is_file()

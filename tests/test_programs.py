@@ -20,6 +20,7 @@ from qsmc_jax.base.vectorise import is_vectorised, vectorised, why_not_vectorise
 from qsmc_jax.cli.console import say
 from qsmc_jax.cli.main import app
 from qsmc_jax.cli.session import session
+from qsmc_jax.cli.verbosity import telling
 from qsmc_jax.model.derivatives import time_derivatives
 from qsmc_jax.model.state_jumps import require_continuous
 from qsmc_jax.numerics.enclosure import CannotEncloseError, enclose
@@ -173,7 +174,7 @@ def test_an_operation_that_nobody_can_look_into_may_hold_a_slow_function_if_it_m
 @pytest.mark.parametrize("problem", ["KeyError: 'num_consts'", ""])
 def test_a_command_says_once_that_solves_are_slow_if_they_are(capsys, rewriter, problem):
     rewriter._problem = problem
-    with session(cache=False):
+    with telling([]), session(cache=False):
         say("{}")
     said = capsys.readouterr()
     assert said.out == "{}\n"

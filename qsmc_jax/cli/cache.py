@@ -1,5 +1,6 @@
 """Compiled programs kept from one command to the next, in the user's cache folder."""
 
+import logging
 from pathlib import Path
 
 
@@ -22,6 +23,7 @@ def keep_compiled_programs() -> None:
     except (RuntimeError, KeyError, OSError):  # nobody's home is known: a container, say
         return
     jax.config.update("jax_compilation_cache_dir", folder)
+    logging.getLogger(__name__).info("compiled programs are kept in %s", folder)
     # By default JAX keeps nothing that compiles in less than a second.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -11,10 +11,11 @@ from typing import Annotated, Any, Literal
 import typer
 
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.cli.console import progress_bar, say, say_json, waiting
+from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.interrupts import finishing
 from qsmc_jax.cli.options import Block, Cache, Json, Out, Threads
+from qsmc_jax.cli.progress import progress_bar, waiting
 from qsmc_jax.cli.recipes import recipe_again
 from qsmc_jax.cli.session import session
 
@@ -61,7 +62,7 @@ def show_run(
         from qsmc_jax.report.signals import figures_as_numbers
 
         folder = RunFolder.open(run)
-        with waiting("solving", quiet=as_json):
+        with waiting("solving"):
             again = replay(folder, recipe_again(folder, study), index, worst)
         numbers = {**figures_as_numbers(again.trajectory), "recorded": again.row, "agrees": again.agrees}
         say_json(numbers) if as_json else say(str(again))
@@ -76,20 +77,22 @@ def show_run(
     raise typer.Exit(HELD if again.agrees else UNDECIDED)
 
 
-def make_report(run: Folder) -> None:
+def make_report(run: Folder, as_json: Json = False) -> None:
     """Write the page of a campaign again, from what is in its folder; nothing is solved."""
     with session(cache=False):
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.report.campaign_report import write_page
 
         write_page(RunFolder.open(run))
-        say(f"Written to {run / 'report.html'}.")
+        path = run / "report.html"
+        say_json({"written": str(path)}) if as_json else say(f"Written to {path}.")
 
 
 def export_rows(
     run: Folder,
     to: Annotated[Literal["csv", "netcdf"], typer.Option(help="Format.")] = "csv",
     out: Annotated[Path | None, typer.Option(help="New file; default RUN.csv or RUN.nc beside the folder.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Write the rows of a campaign to one file that other tools read."""
     with session(cache=False):
@@ -107,14 +110,15 @@ def export_rows(
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-        say(f"Written to {path}.")
+        say_json({"written": str(path)}) if as_json else say(f"Written to {path}.")
 
 
 def work(
     run: Folder,
     shard: Annotated[str, typer.Option(metavar="I/N", help="Which part of the blocks, from 0/N to N-1/N.")] = "0/1",
     study: Study = None,
-    block: Block = 512,
+    as_json: Json = False,
+    block: Block = None,
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
@@ -128,11 +132,12 @@ def work(
         number, count = _shard(shard)
         recipe = recipe_again(folder, study, block=block, threads=threads)
         origin = provenance(study or Path(folder.manifest["study_path"]), recipe.source, sys.argv)
-        with progress_bar(f"shard {shard}", quiet=False) as progress, finishing() as should_stop:
+        with progress_bar(f"shard {shard}") as progress, finishing() as should_stop:
             options: dict[str, Any] = {"progress": progress, "should_stop": should_stop, "provenance": origin}
             is_done = work_shard(folder, recipe, number, count, **options)
         finish = "All shards done? `qsmc verify` with this folder as `--out` sums up."
-        say(f"Shard {shard} of {run} is {'done' if is_done else 'interrupted'}. {finish}")
+        said = f"Shard {shard} of {run} is {'done' if is_done else 'interrupted'}. {finish}"
+        say_json({"run": str(run), "shard": shard, "is_done": is_done}) if as_json else say(said)
     raise typer.Exit(HELD if is_done else UNDECIDED)
 
 

@@ -13,12 +13,13 @@ import typer
 
 from qsmc_jax import __version__
 from qsmc_jax.cli.campaign_commands import register_campaign
-from qsmc_jax.cli.console import say, say_json, waiting
+from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, MEANING, UNDECIDED, VIOLATED, code_of
 from qsmc_jax.cli.interrupts import obeying
 from qsmc_jax.cli.newcomer_commands import register_newcomer
 from qsmc_jax.cli.options import Atol, Cache, Json, MaxSteps, Method, Out, Overrides, Rtol, Seed, StudyFile
 from qsmc_jax.cli.program import Program
+from qsmc_jax.cli.progress import waiting
 from qsmc_jax.cli.robustness_commands import register
 from qsmc_jax.cli.session import session
 from qsmc_jax.cli.study_file import Source, load_study
@@ -46,9 +47,13 @@ def configure(
         bool, typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show results and errors only.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Show what is compiled, solved again and written.")
+    ] = False,
 ) -> None:
     """Simulate, verify and tune quasi-sliding-mode control loops."""
-    del version, debug  # the former ends the program, the latter is seen by `Program` before anything can fail
+    del version, debug, quiet, verbose  # the first ends the program, `Program` sees the others before anything fails
 
 
 @app.command()
@@ -74,7 +79,7 @@ def simulate(
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             study = load_study(Source.read(study_file), overrides or [])
             settings = SolverSettings(rtol, atol, max_steps, method)
-            with waiting("solving", quiet=as_json):
+            with waiting("solving"):
                 run = (
                     study.simulate(settings=settings) if index is None else study.replay(index, seed, settings=settings)
                 )
@@ -101,7 +106,7 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
         from qsmc_jax.simulation.trajectory_plots import plot_trajectory
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
-            with waiting("solving", quiet=as_json):
+            with waiting("solving"):
                 runs = {number: simulate_example(number) for number in (1, 2)}
             table = [row for number, each in runs.items() for row in rows(number, each)]
             content = {"claims": [vars(row) for row in table]}

@@ -29,6 +29,6 @@ Method = Annotated[
     typer.Option(help="Solver; `other` takes the one that `auto` does not, as a check."),
 ]
 MaxSteps = Annotated[int, typer.Option(help="Steps after which a run is given up as UNDECIDED.")]
-Block = Annotated[int, typer.Option(help="Runs solved together, a multiple of 64.")]
+Block = Annotated[int | None, typer.Option(help="Runs solved together, a multiple of 64; default 512 on CPUs.")]
 Threads = Annotated[int | None, typer.Option(help="Blocks solved at once; default one a core.")]
 Together = Annotated[float, typer.Option(help="Confidence that all intervals hold together.")]

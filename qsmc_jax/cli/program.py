@@ -18,11 +18,12 @@ from qsmc_jax.cli.blame import told, users_line
 from qsmc_jax.cli.console import answers, say, say_json
 from qsmc_jax.cli.exit_codes import BAD_INPUT, HELD, INTERNAL_ERROR, UNDECIDED
 from qsmc_jax.cli.interrupts import Interruption
+from qsmc_jax.cli.verbosity import LEVELS, telling
 
 # What Python and the library that reads arguments make of Ctrl-C.
 _INTERRUPTED = 130
 # Options of the program that may also stand after a command.
-_ANYWHERE = ("--debug",)
+_ANYWHERE = ("--debug", *LEVELS)
 
 
 class Program(TyperGroup):
@@ -32,7 +33,7 @@ class Program(TyperGroup):
         self, args: Sequence[str] | None = None, *others: Any, standalone_mode: bool = True, **options: Any
     ) -> Any:
         words = list(sys.argv[1:] if args is None else args)
-        with answers() as has_answered:
+        with answers() as has_answered, telling(_options(words)):
             try:
                 code = super().main(_global_first(words), *others, standalone_mode=False, **options)
                 if code == _INTERRUPTED:

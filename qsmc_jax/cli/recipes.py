@@ -30,8 +30,7 @@ def recipe_again(folder: "RunFolder", study_file: Path | None, **options: Any) -
         InputError: There is no such file, or it is no longer the same study.
     """
     from qsmc_jax.campaign.atomic import machine
-    from qsmc_jax.campaign.recipe import Recipe, code_hash, require_same
-    from qsmc_jax.simulation.settings import SolverSettings
+    from qsmc_jax.campaign.recipe import Recipe, code_hash, require_same, settings_in
 
     manifest = folder.manifest
     identity, there = manifest["identity"], Path(manifest["study_path"])
@@ -46,8 +45,7 @@ def recipe_again(folder: "RunFolder", study_file: Path | None, **options: Any) -
     source = Source.read(named)
     # Before a line of it is run: a file of this name may be anybody's.
     require_same({"study_code": identity["study_code"]}, {"study_code": code_hash(source.content)}, str(folder.path))
-    settings = SolverSettings(identity["rtol"], identity["atol"])
-    settings = settings.replace(**{name: identity[name] for name, _ in settings.choices if name in identity})
+    settings = settings_in(identity)
     study = load_study(source, []).substitute(**identity["values"])
     recipe = Recipe(study, source.content, int(identity["seed"]), settings, files=source.files, **options)
     folder.check(recipe)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.cli.console import progress_bar, say, say_json, waiting
+from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.grids import parse_grids, parse_interval
 from qsmc_jax.cli.options import (
@@ -31,6 +31,7 @@ from qsmc_jax.cli.options import (
     Threads,
     Together,
 )
+from qsmc_jax.cli.progress import progress_bar, waiting
 from qsmc_jax.cli.session import session
 from qsmc_jax.cli.study_file import Source, load_studies, load_study
 
@@ -60,7 +61,7 @@ def map_robustness(
     atol: Atol = None,
     max_steps: MaxSteps = 100_000,
     method: Method = "auto",
-    block: Block = 512,
+    block: Block = None,
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
@@ -108,7 +109,7 @@ def find_critical(
     atol: Atol = None,
     max_steps: MaxSteps = 100_000,
     method: Method = "auto",
-    block: Block = 512,
+    block: Block = None,
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
@@ -149,7 +150,7 @@ def compare_studies(
     atol: Atol = None,
     max_steps: MaxSteps = 100_000,
     method: Method = "auto",
-    block: Block = 512,
+    block: Block = None,
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
@@ -191,14 +192,14 @@ def _deliver(
     from qsmc_jax.report.provenance import provenance
 
     with ResultFolder(out) if out else contextlib.nullcontext() as folder:
-        with progress_bar("solving", quiet=as_json) as progress:
+        with progress_bar("solving") as progress:
             result = work(progress)
         content = {**result.summary(), "provenance": provenance(source.path, source.content, sys.argv)}
         say_json(content) if as_json else say(str(result))
         if folder:
             folder.add_json(f"{stem}.json", content)
             folder.add_table(f"{stem}.parquet", result.table())
-            with waiting("drawing", quiet=as_json):
+            with waiting("drawing"):
                 folder.add_figure(f"{stem}.png", partial(draw, result))
             folder.commit()
             if not as_json:

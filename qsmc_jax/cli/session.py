@@ -6,7 +6,8 @@ import warnings
 from collections.abc import Iterator
 
 from qsmc_jax.cli.cache import keep_compiled_programs
-from qsmc_jax.cli.console import results_to, say
+from qsmc_jax.cli.console import results_to
+from qsmc_jax.cli.verbosity import warn
 
 
 @contextlib.contextmanager
@@ -20,7 +21,7 @@ def session(cache: bool) -> Iterator[None]:
         keep_compiled_programs()
     with warnings.catch_warnings(), results_to(sys.stdout), contextlib.redirect_stdout(sys.stderr):
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *_: say(f"qsmc: {message}", is_error=True)
+        warnings.showwarning = lambda message, *_: warn(str(message))
         try:
             yield
         finally:
@@ -31,4 +32,4 @@ def _say_if_slow() -> None:
     """Says once, after a command that solved something, that solves are slow with this version of JAX, if they are."""
     solver = sys.modules.get("qsmc_jax.base.vectorise")
     if solver is not None and solver.why_not_vectorised():
-        say(f"qsmc: {solver.why_not_vectorised()}", is_error=True)
+        warn(solver.why_not_vectorised())

@@ -11,9 +11,23 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from qsmc_jax.cli.console import live_line, say, say_json, waiting
+from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
-from qsmc_jax.cli.options import Atol, Block, Cache, Json, MaxSteps, Out, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.options import (
+    Atol,
+    Block,
+    Cache,
+    Json,
+    MaxSteps,
+    Method,
+    Out,
+    Overrides,
+    Rtol,
+    Seed,
+    StudyFile,
+    Threads,
+)
+from qsmc_jax.cli.progress import live_line, waiting
 from qsmc_jax.cli.session import session
 from qsmc_jax.cli.study_file import Source, load_study
 
@@ -34,7 +48,7 @@ def tune_study(
     ] = None,
     against: Annotated[str | None, typer.Option(help="Second objective, for a Pareto front of two gains.")] = None,
     runs: Annotated[int, typer.Option(help="Training runs of each evaluation.")] = 256,
-    method: Annotated[Literal["slsqp", "adam", "bfgs"], typer.Option(help="Method of descent.")] = "slsqp",
+    search: Annotated[Literal["slsqp", "adam", "bfgs"], typer.Option(help="Method of descent.")] = "slsqp",
     mode: Annotated[Literal["forward", "reverse"], typer.Option(help="Differentiation of the simulation.")] = "forward",
     steps: Annotated[int, typer.Option(help="Steps of a descent at most.")] = 50,
     starts: Annotated[int, typer.Option(help="Starting points, the study's own among them.")] = 4,
@@ -51,7 +65,8 @@ def tune_study(
     rtol: Rtol = 1e-6,
     atol: Atol = None,
     max_steps: MaxSteps = 100_000,
-    block: Block = 512,
+    method: Method = "auto",
+    block: Block = None,
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
@@ -68,17 +83,17 @@ def tune_study(
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             source = Source.read(study_file)
             study, parameters = load_study(source, overrides or []), tuple(part.strip() for part in names.split(","))
-            settings = SolverSettings(rtol, atol, max_steps, adjoint=mode)
+            settings = SolverSettings(rtol, atol, max_steps, method, adjoint=mode)
             solving: Any = {"runs": runs, "seed": seed, "settings": settings, "block": block, "threads": threads}
-            how: Any = {"method": method, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
+            how: Any = {"method": search, "steps": steps, "starts": starts, "descents": descents, "designs": designs}
             claim: Any = {"certificate_runs": certificate_runs, "risk": risk, "confidence": confidence}
-            with live_line("tuning", quiet=as_json) as tell:
-                watched: Any = {} if tell is None else _Told(tell).watched
+            with live_line("tuning") as tell:
+                watched = _Told(tell).watched
                 result = tune(study, parameters, objective, subject_to or (), **how, **claim, **solving, **watched)
             content = {**result.summary(), "provenance": provenance(study_file, source.content, sys.argv)}
             say_json(content) if as_json else say(str(result))
             if folder:
-                with waiting("drawing", quiet=as_json):
+                with waiting("drawing"):
                     drawn: Any = {"settings": settings, "block": block, "threads": threads}
                     _write(folder, result, content, {"against": against, "points": points, **drawn})
                 if not as_json:

@@ -12,10 +12,11 @@ import typer
 
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.blame import told
-from qsmc_jax.cli.console import progress_bar, say, say_json, waiting
+from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, code_of
 from qsmc_jax.cli.interrupts import Interruption, finishing
 from qsmc_jax.cli.options import Atol, Block, Cache, Json, MaxSteps, Method, Overrides, Rtol, Seed, StudyFile, Threads
+from qsmc_jax.cli.progress import progress_bar, waiting
 from qsmc_jax.cli.recipes import recipe_of
 from qsmc_jax.cli.session import session
 
@@ -50,7 +51,7 @@ def verify_study(
     atol: Atol = None,
     max_steps: MaxSteps = 100_000,
     method: Method = "auto",
-    block: Block = 512,
+    block: Block = None,
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
@@ -111,7 +112,7 @@ class _Campaign:
         from qsmc_jax.campaign.campaign import run_campaign
         from qsmc_jax.report.campaign_report import write_summary
 
-        with progress_bar("solving", quiet=as_json) as progress, finishing() as should_stop:
+        with progress_bar("solving") as progress, finishing() as should_stop:
             result = run_campaign(
                 self.folder,
                 self.recipe,
@@ -136,7 +137,7 @@ def _write_report(folder: "RunFolder", result: "Verification", as_json: bool) ->
     from qsmc_jax.report.campaign_report import write_report
 
     try:
-        with waiting("writing the report", quiet=as_json):
+        with waiting("writing the report"):
             write_report(folder, result)
     except Exception as error:  # noqa: BLE001  # whatever a picture may raise
         again = f"qsmc report {shlex.quote(str(folder.path))}"
@@ -153,7 +154,7 @@ def _at_once(
     from qsmc_jax import verify
 
     options = {"settings": recipe.settings, "block": recipe.block, "threads": recipe.threads, "until": rule}
-    with progress_bar("solving", quiet=as_json) as progress:
+    with progress_bar("solving") as progress:
         return verify(recipe.study, runs, recipe.seed, confidence, worst=worst, progress=progress, **options)
 
 
