@@ -11,7 +11,6 @@ from typing import Any
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.contents import contents
 from qsmc_jax.study.lanes import Lanes, block_size
 from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs, concatenate
@@ -71,7 +70,7 @@ class Recipe:
         parameters = {spec.name: spec.flat_nominal for spec in study.specs if spec.kind == "parameter"}
         identity = {
             "study_code": code_hash(self.source),
-            "contents": contents(study),
+            "contents": dict(study.contents),
             "parameters": parameters,
             "values": {name: value.tolist() for name, value in study.values.items()},
             "bandwidth": float(study.bandwidth),
@@ -105,6 +104,7 @@ class Recipe:
             runs: Their indices.
             progress: Called as `progress(done, len(runs))` after each piece of the first solve.
         """
+        self.study.require_unchanged()
         planner, workload, begin = self.planner, Workload(), time.perf_counter()
         escalation = Escalation(self.stream, Rungs.of(self.study, self.settings), self._lanes.count)
         options = {"settings": self.settings, "workload": workload, "planner": planner, "progress": progress}

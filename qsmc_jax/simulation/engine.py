@@ -1,5 +1,6 @@
 """The one place that solves a run: a problem, a start and a horizon in, figures (and signals) out."""
 
+from collections.abc import Hashable
 from typing import cast
 
 import diffrax as dfx
@@ -31,8 +32,18 @@ from qsmc_jax.simulation.tsit5 import Tsit5
 _FIRST_STEP = 1e-3
 
 
-def pose(loop: ClosedLoop, x0: State, bandwidth: RealScalarLike, settings: SolverSettings) -> Problem:
-    """The problem of solving a loop from a start: its thresholds and the coordinates that the settings name."""
+def pose(
+    loop: ClosedLoop, x0: State, bandwidth: RealScalarLike, settings: SolverSettings, made_of: Hashable = ()
+) -> Problem:
+    """The problem of solving a loop from a start: its thresholds and the coordinates that the settings name.
+
+    Args:
+        loop: The loop.
+        x0: The start, n scalars.
+        bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
+        settings: The settings.
+        made_of: Whatever tells loops apart that look alike, since what their functions read from outside differs.
+    """
     surface, funnel = loop.control.surface, loop.control.funnel
     gains = peak_gains(surface.c)
     bounds = tuple(bandwidth * gains[i] for i in range(loop.order))
@@ -44,6 +55,7 @@ def pose(loop: ClosedLoop, x0: State, bandwidth: RealScalarLike, settings: Solve
         error_bounds=bounds,
         settling_time=settling_time(surface.c, funnel, bandwidth, bounds, loop.errors(0.0, x0)),
         fence=Fence(settings.rtol / settings.rtol),
+        made_of=made_of,
     )
 
 

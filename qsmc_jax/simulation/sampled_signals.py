@@ -1,5 +1,6 @@
 """A solve read off along a time grid: states, errors, sliding variable, funnel, input, disturbance."""
 
+from collections.abc import Hashable
 from typing import Any, NamedTuple
 
 import jax
@@ -49,6 +50,7 @@ def solve_along(
     ts: Float[Array | np.ndarray, " times"],
     settings: SolverSettings,
     is_drawn_well: BoolScalarLike = True,
+    made_of: Hashable = (),
 ) -> Course:
     """Solves one run and reads its signals at the times; pure, to be compiled.
 
@@ -60,9 +62,10 @@ def solve_along(
         ts: Times [s], increasing, from 0 on; those beyond the horizon count as after the end.
         settings: Method and tolerances.
         is_drawn_well: Whether what was drawn for the run had arguments in range.
+        made_of: As for `pose`.
     """
     start, ts = tuple(x0[i] for i in range(loop.order)), jnp.asarray(ts)
-    problem = pose(loop, start, bandwidth, settings)
+    problem = pose(loop, start, bandwidth, settings, made_of)
     figures, saved = solve(problem, start, t1, settings, jnp.minimum(ts, t1), is_drawn_well)
     read = _ideal if loop.implementation is None else _implemented
     signals = jax.vmap(lambda t, y: read(problem, t, y))(ts, saved)

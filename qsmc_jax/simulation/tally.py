@@ -6,8 +6,10 @@ grid, and they ride along in the integrated state, with no say in the step size,
 
 import functools as ft
 import itertools as it
+from collections.abc import Hashable
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -36,6 +38,7 @@ class Problem(AbstractModule):
         error_bounds: What |sigma| < epsilon implies for each error, n scalars.
         settling_time: t_s [s], from which on the funnel guarantees that the errors keep their bounds; `inf` if never.
         fence: Around what is used more than once.
+        made_of: What its functions read from outside, in so far as it is known; programs are kept by it too.
     """
 
     loop: ClosedLoop
@@ -45,6 +48,7 @@ class Problem(AbstractModule):
     error_bounds: Scalars
     settling_time: RealScalarLike
     fence: Fence
+    made_of: Hashable = eqx.field(static=True, default=())
 
 
 class Peak(AbstractModule):

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Real
 
-from qsmc_jax.base.checks import require_finite, require_kind, require_positive, require_shape
+from qsmc_jax.base.checks import is_traced, require_finite, require_kind, require_positive, require_shape
 from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.precision import entry_point
@@ -15,6 +15,7 @@ from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.state_jumps import require_no_state_jumps
+from qsmc_jax.simulation.contents import brought
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.finite import require_finite_functions
 from qsmc_jax.simulation.outcome import Outcome, Verdict
@@ -236,7 +237,8 @@ def simulate_drawn(
     require_finite("bandwidth", bandwidth)
     loop.control.funnel.check_bandwidth(bandwidth)
     settings, ts = with_method(settings, loop, x0, t1), grid_of(ts, t1)
-    course = _solve_along(loop, x0, t1, bandwidth, ts, settings, np.asarray(is_drawn_well))
+    made_of = () if is_traced(loop) else brought(loop)
+    course = _solve_along(loop, x0, t1, bandwidth, ts, settings, np.asarray(is_drawn_well), made_of)
     return trajectory(loop, bandwidth, ts, course)
 
 

@@ -16,6 +16,7 @@ from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import method_for
+from qsmc_jax.study.contents import Made
 from qsmc_jax.study.one_run import run, stiffness_at
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -88,7 +89,7 @@ class Lanes:
 
     def _compiled(self, block: Callable[..., Any], rest: tuple[tuple[int, ...], ...]) -> Callable[..., Any]:
         study, vectorise = self.study, self.settings.vectorise
-        return _compiled(block, study.scenario, self._shapes(), study.dimension, self.count, rest, vectorise)
+        return _compiled(block, study.made, self._shapes(), study.dimension, self.count, rest, vectorise)
 
     def _filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
         """The points, and the first again for every lane left over."""
@@ -114,7 +115,7 @@ def block_size(block: int | None) -> int:
 @ft.lru_cache(maxsize=64)
 def _compiled(
     block: Callable[..., Any],
-    scenario: Callable[[Any], Any],
+    scenario: Made,
     shapes: tuple[tuple[str, tuple[int, ...]], ...],
     dim: int,
     count: int,
@@ -122,6 +123,7 @@ def _compiled(
     vectorise: bool,
 ) -> Callable[..., Any]:
     """The program of `block(scenario, points, values, *rest)` for arguments of the given shapes."""
+    scenario.require_unchanged()
     with in_64_bits():
         points = jax.ShapeDtypeStruct((count, dim), np.float64)
         values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
@@ -130,7 +132,7 @@ def _compiled(
 
 
 def _stiffness(
-    scenario: Callable[[Any], Any], points: Float[Array, "lanes dim"], values: Mapping[str, Array]
+    scenario: Made, points: Float[Array, "lanes dim"], values: Mapping[str, Array]
 ) -> Float[Array, " lanes"]:
     return jax.vmap(ft.partial(stiffness_at, scenario, values))(points)
 
@@ -143,7 +145,7 @@ class _Block:
 
     def __call__(
         self,
-        scenario: Callable[[Any], Any],
+        scenario: Made,
         points: Float[Array, "lanes dim"],
         values: Mapping[str, Array],
         bandwidth: Float[Array, ""],

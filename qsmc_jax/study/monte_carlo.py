@@ -12,7 +12,7 @@ from qsmc_jax.study.lanes import Lanes, block_size, thread_count
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
-from qsmc_jax.study.study import Study, require_study
+from qsmc_jax.study.study import REMEDY, Study, require_study
 from qsmc_jax.study.windows import Piece, Planner, reassembled
 
 Progress = Callable[[int, int], None]
@@ -59,6 +59,7 @@ def monte_carlo(
         >>> len(runs), runs.names, bool((runs["peak_ratio"] < 1.0).all())
         (64, ('x0[0]', 'x0[1]'), True)
     """
+    require_study(study)
     require_count("runs", runs)
     blocks = stream(
         study, range(runs), seed, sampling=sampling, settings=settings, block=block, threads=threads, progress=progress
@@ -107,7 +108,7 @@ def stream(
         >>> [table["index"].tolist() for table in qj.stream(study, [17, 3], block=64)]
         [[17, 3]]
     """
-    require_study(study)
+    require_kind("study", study, Study, REMEDY)
     block = block_size(block)
     lanes = Lanes(study, settings or SolverSettings(), block)
     sampling = sampling or Random()

@@ -14,13 +14,14 @@ from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.sampled_signals import Course, solve_along
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import stiffness
+from qsmc_jax.study.contents import Made
 from qsmc_jax.study.draw import PointDraw
 
 Values = Mapping[str, Array]
 
 
 def run(
-    scenario: Callable[[Any], Any],
+    scenario: Made,
     settings: SolverSettings,
     bandwidth: Float[Array, ""],
     values: Values,
@@ -30,13 +31,13 @@ def run(
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    problem = pose(made.loop, x0, bandwidth, settings)
+    problem = pose(made.loop, x0, bandwidth, settings, scenario.contents)
     figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
 
 
 def run_along(
-    scenario: Callable[[Any], Any],
+    scenario: Made,
     settings: SolverSettings,
     bandwidth: Float[Array, ""],
     ts: Float[Array, " times"],
@@ -46,21 +47,24 @@ def run_along(
     """The values of a run's names, its figures and its signals at the times."""
     draw = PointDraw(point, values)
     made = scenario(draw)
-    course = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, draw.is_valid)
+    course = solve_along(
+        made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, draw.is_valid, scenario.contents
+    )
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, course
 
 
-def stiffness_at(scenario: Callable[[Any], Any], values: Values, point: Float[Array, " dim"]) -> Float[Array, ""]:
+def stiffness_at(scenario: Made, values: Values, point: Float[Array, " dim"]) -> Float[Array, ""]:
     """How stiff a run will be; see simulation/stiffness.py."""
     made = scenario(PointDraw(point, values))
     return jnp.asarray(stiffness(made.loop, made.x0, jnp.asarray(made.t1)))
 
 
 @ft.lru_cache(maxsize=64)
-def program(function: Callable[..., Any], scenario: Callable[[Any], Any]) -> Callable[..., Any]:
+def program(function: Callable[..., Any], scenario: Made) -> Callable[..., Any]:
     """One of the functions above for a single run, compiled once for each scenario, whatever the numbers are.
 
     A scenario may make functions anew in every call, a plant with a `lambda` in it: since it is called inside the
-    program, that compiles nothing.
+    program, that compiles nothing. What the scenario is made of must be what it was when the study was made.
     """
+    scenario.require_unchanged()
     return entry_point(eqx.filter_jit(ft.partial(function, scenario)))

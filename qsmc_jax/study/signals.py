@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools as ft
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -14,6 +14,7 @@ from qsmc_jax.base.notebook import as_dataset
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.simulation.sampled_signals import Course, grid_of
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.study.contents import Made
 from qsmc_jax.study.lanes import LANE_MULTIPLE, Lanes, table
 from qsmc_jax.study.one_run import run_along
 from qsmc_jax.study.runs import Runs, concatenate
@@ -142,7 +143,7 @@ class _Along:
 
     def __call__(
         self,
-        scenario: Callable[[Any], Any],
+        scenario: Made,
         points: Float[Array, "lanes dim"],
         values: Mapping[str, Array],
         bandwidth: Float[Array, ""],

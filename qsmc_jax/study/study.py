@@ -18,6 +18,7 @@ from qsmc_jax.simulation.sampled_signals import grid_of
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
 from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn, trajectory
+from qsmc_jax.study.contents import Contents, Made, contents
 from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
 from qsmc_jax.study.one_run import program, run_along, stiffness_at
 from qsmc_jax.study.sampling import AbstractSampling, Random
@@ -50,6 +51,10 @@ class Scenario(AbstractModule):
         check_start(self.loop, self.x0, self.t1)
 
 
+# How to come by a study.
+REMEDY = "Make one: `qj.Study(scenario, bandwidth=...)`."
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Study:
     """A scenario function, the names it draws, and the bandwidth of quasi-sliding mode.
@@ -62,6 +67,7 @@ class Study:
         values: Numbers substituted for names, by name; see `substitute`.
         specs: What is known of each name; found by calling the scenario.
         nominal: The scenario with every distribution at its median.
+        contents: Hashes of what it computes, by part, with all that it reads from outside.
 
     Raises:
         InputError: The scenario is not one, a name or value is wrong, or the nominal loop breaks C2.
@@ -84,6 +90,7 @@ class Study:
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     specs: tuple[DrawSpec, ...] = dataclasses.field(init=False)
     nominal: Scenario = dataclasses.field(init=False)
+    contents: Contents = dataclasses.field(init=False)
 
     __repr__ = short_repr
 
@@ -94,13 +101,30 @@ class Study:
     def __post_init__(self):
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
         require_finite("bandwidth", self.bandwidth)
-        specs = _specs(self.scenario)
-        values = check_values(specs, self.values)
+        object.__setattr__(self, "specs", discover(ft.partial(_scenario_of, self.scenario))[0])
+        object.__setattr__(self, "contents", contents(self.scenario))
+        self._take(self.values)
+
+    def _take(self, values: Mapping[str, Any]) -> None:
+        """Checks the values and what the scenario makes of them, and keeps both."""
+        values = check_values(self.specs, values)
         nominal = _call(self.scenario, PointDraw(None, values))
         check_functions(nominal.loop, nominal.x0, nominal.t1)
         nominal.loop.control.funnel.check_bandwidth(self.bandwidth)
-        for name, value in {"specs": specs, "values": values, "nominal": nominal}.items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "nominal", nominal)
+
+    def require_unchanged(self) -> None:
+        """Raises `InputError` if what the scenario reads from outside, such as a global, is no longer what it was.
+
+        Asked by whatever gives a verdict, and before a program is compiled.
+        """
+        self.made.require_unchanged()
+
+    @property
+    def made(self) -> Made:
+        """The scenario with its contents: what its programs are known by."""
+        return Made(self.scenario, self.contents)
 
     @property
     def dimension(self) -> int:
@@ -129,7 +153,11 @@ class Study:
         Raises:
             InputError: A name does not exist (the nearest is suggested), or a value lies outside its bounds.
         """
-        return Study(self.scenario, self.bandwidth, {**self.values, **values})
+        made = object.__new__(Study)
+        for name in ("scenario", "bandwidth", "specs", "contents"):
+            object.__setattr__(made, name, getattr(self, name))
+        made._take({**self.values, **values})
+        return made
 
     def replay(
         self,
@@ -181,11 +209,11 @@ class Study:
             own = 0.0 if is_traced(self.numbers) else float(self._stiffness_at(point))
             settings = settings.replace(method=method_for(own, self.stiffness, settings.method))
         ts, bandwidth = grid_of(ts, made.t1), as_float64(self.bandwidth)
-        _, course = program(run_along, self.scenario)(settings, bandwidth, ts, self.numbers, point)
+        _, course = program(run_along, self.made)(settings, bandwidth, ts, self.numbers, point)
         return trajectory(made.loop, bandwidth, ts, course)
 
     def _stiffness_at(self, point: np.ndarray) -> Any:
-        return program(stiffness_at, self.scenario)(self.numbers, point)
+        return program(stiffness_at, self.made)(self.numbers, point)
 
     @property
     def _median(self) -> np.ndarray:
@@ -193,14 +221,9 @@ class Study:
 
 
 def require_study(study: Any, name: str = "study") -> None:
-    """Raises unless an argument is a study."""
-    require_kind(name, study, Study, "Make one: `qj.Study(scenario, bandwidth=...)`.")
-
-
-@ft.lru_cache(maxsize=64)
-def _specs(scenario: Callable[[Any], Any]) -> tuple[DrawSpec, ...]:
-    """The names of a scenario: whatever is substituted they are the same, and are found once."""
-    return discover(ft.partial(_scenario_of, scenario))[0]
+    """Raises unless an argument is a study, whose scenario computes what it did when it was made."""
+    require_kind(name, study, Study, REMEDY)
+    study.require_unchanged()
 
 
 def _scenario_of(scenario: Callable[[Any], Any], draw: PointDraw) -> Scenario:

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import LANE_MULTIPLE, block_size, thread_count
-from qsmc_jax.study.monte_carlo import monte_carlo
+from qsmc_jax.study.monte_carlo import stream
+from qsmc_jax.study.runs import concatenate
 from qsmc_jax.study.study import Study
 from qsmc_jax.study.tangents import differentiate
 from qsmc_jax.tuning.box import Box
@@ -124,14 +125,9 @@ class Batch:
     def evaluate(self, v: Float[np.ndarray, " names"], start: int = -1) -> Evaluation:
         """Objective and constraints at a point of the unit cube."""
         gains = self.box.gains(v)
-        table = monte_carlo(
-            self.study.substitute(**gains),
-            self.runs,
-            self.seed,
-            settings=self.settings,
-            block=self._block,
-            threads=self.threads,
-        ).columns
+        there, options = self.study.substitute(**gains), {"block": self._block, "threads": self.threads}
+        blocks = stream(there, range(self.runs), self.seed, settings=self.settings, **options)
+        table = concatenate(list(blocks)).columns
         self.spent += self.runs
         return self._keep(gains, table, counted(table, self.metrics, self._horizon(gains)), start)
 
