@@ -133,6 +133,7 @@ def test_what_does_not_fit_is_named(arguments, said):
 
 
 def test_a_dataset_says_which_run_and_when():
+    pytest.importorskip("xarray")
     data = qj.signals(study, [7, 2], ts=[0.0, 1.0]).to_xarray()
     assert data["run"].values.tolist() == [7, 2]
     assert data["sigma"].dims == ("run", "t")
