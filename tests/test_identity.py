@@ -21,7 +21,6 @@ from qsmc_jax.campaign.blocks import BlockFile, block_files
 from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.cli.main import app
 from qsmc_jax.cli.study_file import Source, load_study
-from qsmc_jax.study.contents import contents
 from tests.studies_for_tests import study
 
 STUDY = Path(__file__).parent / "studies_for_tests.py"
@@ -113,7 +112,7 @@ def test_a_number_of_an_imported_module_is_part_of_the_study(beside, tmp_path):
 def test_contents_are_the_same_in_every_process():
     program = (
         "import sys; sys.path.insert(0, 'tests'); from studies_for_tests import study;"
-        "from qsmc_jax.study.contents import contents; print(contents(study))"
+        "print(study.contents)"
     )
     said = {
         subprocess.run(
@@ -126,7 +125,7 @@ def test_contents_are_the_same_in_every_process():
         ).stdout
         for seed in ("1", "2")
     }
-    assert said == {f"{contents(study)}\n"}
+    assert said == {f"{study.contents}\n"}
 
 
 NESTED = """
@@ -151,7 +150,7 @@ def loop_of(folder, comment, number):
     folder.mkdir()
     path = folder / "study.py"
     path.write_text(NESTED.format(comment=comment, number=number))
-    return contents(load_study(Source.read(path), []))
+    return dict(load_study(Source.read(path), []).contents)
 
 
 def test_neither_comments_nor_the_place_of_a_file_are_part_of_the_study(tmp_path):

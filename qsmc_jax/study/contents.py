@@ -12,7 +12,7 @@ from qsmc_jax.base.digest import digest
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.simulation.contents import Contents, functions_of
-from qsmc_jax.study.draw import PointDraw, dimension, discover
+from qsmc_jax.study.draw import PointDraw, dimension
 
 
 def contents(scenario: Callable[[Any], Any]) -> Contents:
@@ -21,8 +21,10 @@ def contents(scenario: Callable[[Any], Any]) -> Contents:
     Args:
         scenario: The scenario. Two with the same contents give the same rows.
     """
-    specs, nominal = discover(scenario)
-    return (("scenario", _scenario(scenario, dimension(specs))), *functions_of(nominal.loop))
+    draw = PointDraw()
+    with in_64_bits():
+        nominal = scenario(draw)
+    return (("scenario", _scenario(scenario, dimension(draw.specs))), *functions_of(nominal.loop))
 
 
 @dataclasses.dataclass(frozen=True)

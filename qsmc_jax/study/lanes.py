@@ -3,7 +3,7 @@
 import dataclasses
 import functools as ft
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,14 +17,12 @@ from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import method_for
 from qsmc_jax.study.contents import Made
-from qsmc_jax.study.one_run import run, stiffness_at
+from qsmc_jax.study.one_run import run, run_along, stiffness_at
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
 
 # Blocks of any multiple of this many lanes give bitwise the same rows, however the runs are cut into blocks.
 LANE_MULTIPLE = 64
-
-Program: TypeAlias = Callable[..., tuple[dict[str, Array], Figures]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,9 +50,12 @@ class Lanes:
         with in_64_bits():
             return np.asarray(program(self._filled(points), self.study.numbers))[: len(points)]
 
-    def compile(self, method: str) -> Program:
-        """The program. Compiled on the first call, then the same one whatever values the names and tolerances have."""
-        return self.compile_block(_Block(self.choices(method, adjoint="forward")))
+    def compile(self, method: str, *grid: np.ndarray) -> Callable[..., Any]:
+        """The program: of rows, or given times, of signals at them.
+
+        Compiled on the first call, then the same one whatever values the names and tolerances have.
+        """
+        return self.compile_block(_Block(self.choices(method, adjoint="forward")), *grid)
 
     def choices(self, method: str, **changes: Any) -> tuple[tuple[str, Any], ...]:
         """Name and value of what is static in the settings of a block; `compile_block` vectorises the whole of it.
@@ -139,7 +140,10 @@ def _stiffness(
 
 @dataclasses.dataclass(frozen=True)
 class _Block:
-    """Solves runs together; made twice of equal settings it is equal, so that nothing is compiled twice."""
+    """Solves runs together, and reads their signals at times that it may be given.
+
+    Made twice of equal settings it is equal, so that nothing is compiled twice.
+    """
 
     choices: tuple[tuple[str, Any], ...]
 
@@ -151,9 +155,11 @@ class _Block:
         bandwidth: Float[Array, ""],
         rtol: Float[Array, ""],
         atol: Float[Array, ""],
-    ) -> tuple[dict[str, Array], Figures]:
+        *grid: Float[Array, " times"],
+    ) -> tuple[dict[str, Array], Any]:
+        solve = run_along if grid else run
         settings = SolverSettings(rtol, atol, **dict(self.choices))
-        return jax.vmap(ft.partial(run, scenario, settings, bandwidth, values))(points)
+        return jax.vmap(ft.partial(solve, scenario, settings, bandwidth, *grid, values))(points)
 
 
 def table(study: Study, indices: np.ndarray, record: Mapping[str, np.ndarray], figures: Figures) -> Runs:

@@ -1,22 +1,18 @@
 """Signals of many runs of a study on one time grid, solved as batches."""
 
 import dataclasses
-import functools as ft
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from qsmc_jax.base.checks import require, require_kind
 from qsmc_jax.base.notebook import as_dataset
 from qsmc_jax.base.short_repr import short_repr
-from qsmc_jax.simulation.sampled_signals import Course, grid_of
+from qsmc_jax.simulation.sampled_signals import grid_of
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.contents import Made
 from qsmc_jax.study.lanes import LANE_MULTIPLE, Lanes, table
-from qsmc_jax.study.one_run import run_along
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.study import Study, require_study
@@ -125,31 +121,10 @@ def signals(
     grid = grid_of(ts, study.nominal.t1)
     rows, solved, courses = [], [], []
     for piece in Planner(lanes, seed, sampling).pieces(indices):
-        program = lanes.compile_block(_Along(lanes.choices(piece.method, adjoint="forward")), grid)
-        record, course = lanes.call(program, piece.points, grid)
+        record, course = lanes.call(lanes.compile(piece.method, grid), piece.points, grid)
         rows.append(piece.rows)
         solved.append(table(study, piece.indices, record, course.figures))
         courses.append([signal[: len(piece.rows)] for signal in course.signals])
     order = np.argsort(np.concatenate(rows))
     together = (np.concatenate(each)[order] for each in zip(*courses, strict=True))
     return SignalBatch(grid, concatenate(solved).take(order), *together)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Along:
-    """Solves runs together and reads their signals; made twice of equal settings it is equal."""
-
-    choices: tuple[tuple[str, Any], ...]
-
-    def __call__(
-        self,
-        scenario: Made,
-        points: Float[Array, "lanes dim"],
-        values: Mapping[str, Array],
-        bandwidth: Float[Array, ""],
-        rtol: Float[Array, ""],
-        atol: Float[Array, ""],
-        ts: Float[Array, " times"],
-    ) -> tuple[dict[str, Array], Course]:
-        settings = SolverSettings(rtol, atol, **dict(self.choices))
-        return jax.vmap(ft.partial(run_along, scenario, settings, bandwidth, ts, values))(points)

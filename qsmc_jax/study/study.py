@@ -204,6 +204,7 @@ class Study:
 
     def _solve(self, made: Scenario, point: np.ndarray, ts: Any, settings: SolverSettings | None) -> Trajectory:
         """Solves the run at a point, of which the scenario made this."""
+        self.require_unchanged()
         settings = settings or SolverSettings()
         if settings.method in BY_STIFFNESS:
             own = 0.0 if is_traced(self.numbers) else float(self._stiffness_at(point))
