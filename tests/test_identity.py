@@ -110,10 +110,7 @@ def test_a_number_of_an_imported_module_is_part_of_the_study(beside, tmp_path):
 
 
 def test_contents_are_the_same_in_every_process():
-    program = (
-        "import sys; sys.path.insert(0, 'tests'); from studies_for_tests import study;"
-        "print(study.contents)"
-    )
+    program = "import sys; sys.path.insert(0, 'tests'); from studies_for_tests import study;print(study.contents)"
     said = {
         subprocess.run(
             [sys.executable, "-c", program],
