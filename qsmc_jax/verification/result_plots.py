@@ -19,7 +19,7 @@ _BANDS = ((0.0, 1.0), (0.05, 0.95), (0.25, 0.75))
 def plot_verification(result: "Verification", ax: Any = None) -> Any:
     """The funnel with bands of the runs and the worst run, the histogram of the margin, and that of the reach time.
 
-    Solves 64 runs and the worst one again to draw them.
+    Solves 64 runs and the worst one again to draw them, as one batch.
 
     Args:
         result: What `verify` returned.
@@ -55,20 +55,24 @@ def plot_margin(result: "Verification", ax: Any = None) -> Any:
 def _funnel(ax: Any, result: "Verification") -> None:
     study, eps = result.study, float(result.study.bandwidth)
     ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
-    count = min(_BAND_RUNS, result.runs)
-    sigma = signals(study, range(count), result.seed, ts=ts, settings=result.settings).sigma
+    count, row = min(_BAND_RUNS, result.runs), result.worst.row(0)
+    # One batch, and so one program, unless another solve decided the worst run.
+    indices = [*range(count), row["index"]]
+    drawn = signals(study, indices, result.seed, ts=ts, settings=result.settings)
+    worst, sigma = drawn, drawn.sigma[:-1]
+    if row["rung"] > 0:
+        worst = signals(study, indices[-1:], result.seed, ts=ts, settings=result.settings_of(row))
     alive = np.isfinite(sigma).any(axis=0)
     for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
         quantiles = np.nanquantile(sigma[:, alive], (low, high), axis=0)
         label = f"all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
         ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
-    row = result.worst.row(0)
-    worst = study.replay(row["index"], result.seed, settings=result.settings_of(row))
     for sign in (-1.0, 1.0):
-        ax.plot(worst.ts, sign * worst.rho, color=RED, label=r"$\pm\rho$" if sign > 0 else None)
+        ax.plot(ts, sign * worst.rho[-1], color=RED, label=r"$\pm\rho$" if sign > 0 else None)
         ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
-    ax.plot(worst.ts, worst.sigma, color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
-    ax.axvline(worst.reaching_time, ls=":", color=ORANGE, label=f"$t_r$ = {worst.reaching_time:.4g} s")
+    ax.plot(ts, worst.sigma[-1], color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
+    t_r = _reaching_time(result)
+    ax.axvline(t_r, ls=":", color=ORANGE, label=f"nominal $t_r$ = {t_r:.4g} s")
     ax.set_yscale("symlog", linthresh=2.0 * eps)
     ax.set(title="Sliding variable in its funnel", xlabel="t [s]", ylabel=r"$\sigma$ (linear below 2 $\varepsilon$)")
     ax.legend(loc="upper right", fontsize=7)
@@ -84,10 +88,14 @@ def _margin(ax: Any, histogram: Histogram, result: "Verification") -> None:
 
 def _reach(ax: Any, histogram: Histogram, result: "Verification") -> None:
     _bars(ax, histogram)
-    t_r = float(result.study.nominal.loop.control.funnel.reaching_time(result.study.bandwidth))
+    t_r = _reaching_time(result)
     ax.axvline(t_r, color=ORANGE, ls=":", lw=2.0, label=f"nominal $t_r$ = {t_r:.4g} s")
     ax.set(title="Reach time", xlabel=r"time after which $|\sigma| < \varepsilon$ for good [s]", ylabel="runs")
     ax.legend(loc="best", fontsize=8)
+
+
+def _reaching_time(result: "Verification") -> float:
+    return float(result.study.nominal.loop.control.funnel.reaching_time(result.study.bandwidth))
 
 
 def _bars(ax: Any, histogram: Histogram) -> None:
