@@ -169,7 +169,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(runs):
 
 
 def test_points_touching_the_cube_are_moved_inside(monkeypatch):
-    monkeypatch.setattr(sampling.qmc.LatinHypercube, "random", lambda self, n: np.array([[0.0, 1.0]]))
+    monkeypatch.setattr(qmc.LatinHypercube, "random", lambda self, n: np.array([[0.0, 1.0]]))
     sampling._latin_hypercube.cache_clear()
     point = LatinHypercube(1).points(987, [0], 2)
     sampling._latin_hypercube.cache_clear()

@@ -123,8 +123,8 @@ def test_other_numbers_compile_nothing():
         (([],), "Argument `indices` must name at least one run"),
         (([0], 0, [0.0, 7.0]), r"Argument `ts` must lie within \[0, t1\]"),
         (([0], 0, [0.5, 0.5]), "Argument `ts` must increase"),
-        ((np.array([0.5]),), "Argument `indices` must be a list of whole numbers"),
-        ((np.array([True]),), "Argument `indices` must be a list of whole numbers"),
+        ((np.array([0.5]),), "Argument `indices` must be a one-dimensional list of integers"),
+        ((np.array([True]),), "Argument `indices` must be a one-dimensional list of integers"),
         (([-1],), r"Argument `indices` must be in \[0, "),
     ],
 )

@@ -7,7 +7,7 @@ alone.
 import abc
 import functools as ft
 from collections.abc import Sequence
-from typing import ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -15,11 +15,13 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
-from scipy.stats import qmc
 
 from qsmc_jax.base.checks import is_whole, require, require_count
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.precision import in_64_bits
+
+if TYPE_CHECKING:
+    from scipy.stats import qmc
 
 Indices: TypeAlias = Sequence[int] | np.ndarray
 
@@ -100,10 +102,8 @@ class Sobol(AbstractSampling):
         wanted = _checked_indices(seed, indices, 2**_SOBOL_BITS)
         if wanted.size == 0 or dim == 0:
             return np.empty((wanted.size, dim))
-        require(
-            dim <= qmc.Sobol.MAXDIM,
-            f"Argument `dim` must be at most {qmc.Sobol.MAXDIM} for `Sobol`, but is {dim}. Use `Random()`.",
-        )
+        most = _qmc().Sobol.MAXDIM
+        require(dim <= most, f"Argument `dim` must be at most {most} for `Sobol`, but is {dim}. Use `Random()`.")
         first, columns = _sobol_generators(seed, dim, int(wanted.max()).bit_length())
         gray = wanted ^ (wanted >> 1)
         numbers = np.tile(first, (wanted.size, 1))
@@ -162,6 +162,13 @@ def _random_point(
     return jr.uniform(run_key, (dim,), np.float64) + _HALF_CELL
 
 
+def _qmc() -> Any:
+    """SciPy's designs: they take a third of a second to load, and few studies need them."""
+    from scipy.stats import qmc
+
+    return qmc
+
+
 def _words(indices: np.ndarray) -> tuple[UInt32[Array, " runs"], UInt32[Array, " runs"]]:
     """Low and high 32 bits."""
     return jnp.asarray(indices & 0xFFFFFFFF, jnp.uint32), jnp.asarray(indices >> 32, jnp.uint32)
@@ -174,7 +181,7 @@ def _sobol_generators(seed: int, dim: int, bits: int) -> tuple[np.ndarray, list[
     A scrambled Sobol sequence is linear over bits, and the Gray code of 2**k is bits k and k - 1: so points 0, 1, 2, 4,
     8 ... give every other point, without walking to it.
     """
-    engine = qmc.Sobol(dim, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(seed))
+    engine = _qmc().Sobol(dim, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(seed))
     first = _next_integers(engine)
     column = np.zeros_like(first)
     columns = []
@@ -185,7 +192,7 @@ def _sobol_generators(seed: int, dim: int, bits: int) -> tuple[np.ndarray, list[
     return first, columns
 
 
-def _next_integers(engine: qmc.Sobol) -> np.ndarray:
+def _next_integers(engine: "qmc.Sobol") -> np.ndarray:
     """The next point times 2**32, which is whole."""
     return (engine.random(1)[0] * 2.0**_SOBOL_BITS).astype(np.int64)
 
@@ -195,7 +202,7 @@ def _latin_hypercube(seed: int, runs: int, dim: int) -> np.ndarray:
     """The whole design; SciPy's points may touch 1."""
     if dim == 0:
         return np.empty((runs, 0))
-    points = qmc.LatinHypercube(dim, rng=np.random.default_rng(seed)).random(runs)
+    points = _qmc().LatinHypercube(dim, rng=np.random.default_rng(seed)).random(runs)
     return np.clip(points, _HALF_CELL, 1.0 - _HALF_CELL)
 
 

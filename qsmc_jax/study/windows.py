@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
 from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.runs import Runs, concatenate
@@ -44,7 +43,7 @@ class Planner:
         """All pieces, in the order of their windows. As long as nothing is known a small one comes first, to learn."""
         start, size = 0, (WINDOW if self._schedules else FIRST_WINDOW) * self._lanes.count
         while start < len(indices):
-            yield from self._window(start, _whole(indices[start : start + size]))
+            yield from self._window(start, np.asarray(indices[start : start + size]))
             start, size = start + size, WINDOW * self._lanes.count
 
     def _window(self, start: int, indices: np.ndarray) -> Iterator[Piece]:
@@ -68,14 +67,6 @@ class Planner:
         stiffness = np.concatenate([self._lanes.stiffness(points) for points in chunked])
         nominal = self._lanes.study.stiffness
         return np.array([method_for(each, nominal, asked_for) for each in stiffness]), stiffness
-
-
-def _whole(indices: Sequence[int] | np.ndarray) -> np.ndarray:
-    """Some indices as whole numbers, which they must be."""
-    found = np.asarray(indices)
-    message = f"Argument `indices` must be a list of whole numbers, but is {found.dtype} of shape {found.shape}."
-    require(found.dtype.kind in "iu" and found.ndim == 1, message)
-    return found.astype(np.int64)
 
 
 def reassembled(solved: list[tuple[np.ndarray, Runs]]) -> Runs:
