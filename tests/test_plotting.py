@@ -9,7 +9,7 @@ from matplotlib import pyplot as plt
 import qsmc_jax as qj
 from qsmc_jax.base.plotting import off_screen
 from tests.drawing import draws_in_given_axes
-from tests.studies_for_tests import study
+from tests.studies_for_tests import Integrator, study
 
 PLOTS = [
     (kind, name)
@@ -108,3 +108,22 @@ def test_what_is_no_axes_is_refused(run, ax):
 def test_another_number_of_axes_is_refused(run):
     with pytest.raises(ValueError, match=r"ax must be matplotlib Axes, 4 for this picture, but is .*Leave it out"):
         run.plot(ax=plt.figure().subplots(1, 3))
+
+
+def test_the_worst_run_is_drawn_to_its_own_end():
+    """It is the one with the largest push, which has the longest horizon: longer than that of the nominal run."""
+
+    def scenario(draw):
+        push = draw.uniform("push", 2.0, 6.0)
+        control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(rho0=1.0, mu=1.0, rho_inf=0.1))
+        disturbance = qj.disturbances.Constant(push)
+        loop = qj.ClosedLoop(Integrator(2.0), qj.references.Constant(0.0), disturbance, control)
+        return qj.Scenario(loop, x0=[0.0], t1=push)
+
+    result = qj.verify(qj.Study(scenario, bandwidth=0.2), 64)
+    row = result.worst.row(0)
+    lines = {line.get_label(): line for line in result.plot()[0].lines}
+    drawn = lines[f"worst, run {row['index']}"]
+    assert row["push"] > 5.0
+    assert drawn.get_xdata()[-1] == pytest.approx(row["push"])
+    assert np.isfinite(drawn.get_ydata()).all()

@@ -8,11 +8,17 @@ import numpy as np
 
 from qsmc_jax.base.digest import digest
 from qsmc_jax.base.traceable import trace
+from qsmc_jax.base.types import Scalars
+from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.implementation.actuators import AbstractActuator
+from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.unseen import is_consistent, is_known, is_own
 
 # Hashes by part: "drift of `Mine`", ...
 Contents: TypeAlias = tuple[tuple[str, str], ...]
+# A module, what it does, and the shapes of what that is given.
+_Part: TypeAlias = tuple[Any, Callable[..., Any], tuple[Any, ...]]
 
 
 def brought(loop: ClosedLoop) -> Contents:
@@ -30,7 +36,7 @@ def functions_of(loop: ClosedLoop) -> Contents:
     number = jax.ShapeDtypeStruct((), np.float64)
     state = (number,) * loop.order
     plant = type(loop.plant).__name__
-    parts: dict[str, tuple[Any, Callable[..., Any], tuple[Any, ...]]] = {
+    parts: dict[str, _Part] = {
         f"drift of `{plant}`": (loop.plant, lambda plant, t, x: plant.drift(t, x), (number, state)),
         f"gain of `{plant}`": (loop.plant, lambda plant, t, x: plant.gain(t, x), (number, state)),
         f"disturbance `{type(loop.disturbance).__name__}`": (loop.disturbance, lambda d, t: d(t), (number,)),
@@ -41,9 +47,30 @@ def functions_of(loop: ClosedLoop) -> Contents:
         ),
     }
     if loop.implementation is not None:
-        noise, count = loop.implementation.noise, jax.ShapeDtypeStruct((), np.int64)
-        for i, signal in enumerate(loop.implementation.unmatched):
-            parts[f"unmatched disturbance {i} `{type(signal).__name__}`"] = (signal, lambda d, t: d(t), (number,))
-        if noise is not None:
-            parts[f"noise `{type(noise).__name__}`"] = (noise, lambda noise, t, k: noise(t, k), (number, count))
+        parts |= _implemented(loop, loop.implementation)
     return tuple((name, digest(trace(name, "its arguments", *part[:2], *part[2])[0])) for name, part in parts.items())
+
+
+def _implemented(loop: ClosedLoop, made: Implementation) -> dict[str, _Part]:
+    """The same of what is between the plant and its controller, and of the controller, whose law may be anybody's."""
+    number, control, actuator = jax.ShapeDtypeStruct((), np.float64), loop.control, made.actuator
+
+    def command(control: AbstractControl, t: Any, period: Any, sigma: Any, rho: Any, *known: Scalars) -> Any:
+        desired, memory = known
+        return control.first_memory(), control.command(Sample(t, period, sigma, rho, desired, made.beyond), memory)
+
+    def move(actuator: AbstractActuator, state: Scalars, *rest: Any) -> Any:
+        return actuator.rest(), actuator.move(state, *rest), actuator.swing(state, *rest)
+
+    memory = (number,) * len(control.first_memory())
+    given = number, number, number, number, (number,) * (loop.order + 1), memory
+    parts: dict[str, _Part] = {f"command of `{type(control).__name__}`": (control, command, given)}
+    for i, signal in enumerate(made.unmatched):
+        parts[f"unmatched disturbance {i} `{type(signal).__name__}`"] = (signal, lambda d, t: d(t), (number,))
+    if made.noise is not None:
+        count = jax.ShapeDtypeStruct((), np.int64)
+        parts[f"noise `{type(made.noise).__name__}`"] = (made.noise, lambda noise, t, k: noise(t, k), (number, count))
+    if actuator is not None:
+        state = (number,) * len(actuator.rest())
+        parts[f"actuator `{type(actuator).__name__}`"] = (actuator, move, (state, number, number))
+    return parts

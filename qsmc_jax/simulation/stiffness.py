@@ -1,6 +1,7 @@
 """How stiff a loop will be, from its numbers alone, and the method for it."""
 
 import math
+from collections.abc import Hashable
 from typing import Any
 
 import equinox as eqx
@@ -35,7 +36,7 @@ OTHER: dict[str, Method] = {
 
 
 @entry_point
-def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> RealScalarLike:
+def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike, made_of: Hashable = ()) -> RealScalarLike:
     r"""Decay times of the sliding variable in a run to `t1`, $\int_0^{t_1} |g| \frac{\pi}{2 \rho} (1 + u^2) dt$ [-].
 
     Along the reference, with the input that holds the sliding variable there and drives it in with the funnel. An
@@ -44,11 +45,12 @@ def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> RealScalarLike:
     """
     if loop.implementation is not None:
         return 0.0
-    return _decays(loop, jnp.asarray(t1))
+    return _decays(loop, jnp.asarray(t1), made_of)
 
 
 @eqx.filter_jit
-def _decays(loop: ClosedLoop, t1: Array) -> Array:
+def _decays(loop: ClosedLoop, t1: Array, made_of: Hashable) -> Array:
+    del made_of  # by which the program is kept
     fractions = (np.arange(_INSTANTS) + 0.5) / _INSTANTS
     rates = jax.vmap(lambda t: _decay_rate(loop, t))(t1 * fractions**3)
     return t1 * jnp.sum(rates * 3.0 * fractions**2) / _INSTANTS
@@ -74,7 +76,9 @@ def method_for(stiffness: float, nominal: float, asked_for: Method = "auto") -> 
     return "rodas5p" if is_stiff == (asked_for == "auto") else "tsit5"
 
 
-def with_method(settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> SolverSettings:
+def with_method(
+    settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike, made_of: Hashable = ()
+) -> SolverSettings:
     """The settings with a method in place of `"auto"` or `"other"`; as for a loop that is not stiff while it is traced.
 
     Args:
@@ -82,8 +86,9 @@ def with_method(settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealSca
         loop: The loop.
         x0: Its start, n numbers.
         t1: The horizon [s].
+        made_of: As for `pose`.
     """
     if settings.method not in BY_STIFFNESS:
         return settings
-    own = 0.0 if is_traced(loop, x0, t1) else float(stiffness(loop, x0, t1))
+    own = 0.0 if is_traced(loop, x0, t1) else float(stiffness(loop, x0, t1, made_of))
     return settings.replace(method=method_for(own, own, settings.method))

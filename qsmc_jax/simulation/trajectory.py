@@ -236,8 +236,8 @@ def simulate_drawn(
     check_start(loop, x0, t1)
     require_finite("bandwidth", bandwidth)
     loop.control.funnel.check_bandwidth(bandwidth)
-    settings, ts = with_method(settings, loop, x0, t1), grid_of(ts, t1)
     made_of = () if is_traced(loop) else brought(loop)
+    settings, ts = with_method(settings, loop, x0, t1, made_of), grid_of(ts, t1)
     course = _solve_along(loop, x0, t1, bandwidth, ts, settings, np.asarray(is_drawn_well), made_of)
     return trajectory(loop, bandwidth, ts, course)
 

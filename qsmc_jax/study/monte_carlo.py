@@ -83,7 +83,8 @@ def stream(
     """Solves the runs of the given indices and yields them window by window, in order, holding only a few at a time.
 
     Within a window of some blocks, runs with the same method and like cost are solved together. A run's row does not
-    depend on it, to the last bit.
+    depend on it, to the last bit. Made to be called often, it asks whether the study has changed only before it
+    compiles: `study.require_unchanged()` asks at any time.
 
     Args:
         study: The study.

@@ -56,7 +56,7 @@ def run_along(
 def stiffness_at(scenario: Made, values: Values, point: Float[Array, " dim"]) -> Float[Array, ""]:
     """How stiff a run will be; see simulation/stiffness.py."""
     made = scenario(PointDraw(point, values))
-    return jnp.asarray(stiffness(made.loop, made.x0, jnp.asarray(made.t1)))
+    return jnp.asarray(stiffness(made.loop, made.x0, jnp.asarray(made.t1), scenario.contents))
 
 
 @ft.lru_cache(maxsize=64)

@@ -56,21 +56,21 @@ def _funnel(ax: Any, result: "Verification") -> None:
     study, eps = result.study, float(result.study.bandwidth)
     ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
     count, row = min(_BAND_RUNS, result.runs), result.worst.row(0)
-    # One batch, and so one program, unless another solve decided the worst run.
-    indices = [*range(count), row["index"]]
-    drawn = signals(study, indices, result.seed, ts=ts, settings=result.settings)
-    worst, sigma = drawn, drawn.sigma[:-1]
-    if row["rung"] > 0:
-        worst = signals(study, indices[-1:], result.seed, ts=ts, settings=result.settings_of(row))
+    drawn = signals(study, [*range(count), row["index"]], result.seed, ts=ts, settings=result.settings)
+    worst, sigma = (ts, drawn.sigma[-1], drawn.rho[-1]), drawn.sigma[:-1]
+    # Of a program of its own only where it must be: decided by another solve, or longer than the nominal run.
+    if row["rung"] > 0 or row["end_time"] > ts[-1]:
+        run = study.replay(row["index"], result.seed, settings=result.settings_of(row))
+        worst = run.ts, run.sigma, run.rho
     alive = np.isfinite(sigma).any(axis=0)
     for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
         quantiles = np.nanquantile(sigma[:, alive], (low, high), axis=0)
         label = f"all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
         ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
     for sign in (-1.0, 1.0):
-        ax.plot(ts, sign * worst.rho[-1], color=RED, label=r"$\pm\rho$" if sign > 0 else None)
+        ax.plot(worst[0], sign * worst[2], color=RED, label=r"$\pm\rho$" if sign > 0 else None)
         ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
-    ax.plot(ts, worst.sigma[-1], color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
+    ax.plot(*worst[:2], color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
     t_r = _reaching_time(result)
     ax.axvline(t_r, ls=":", color=ORANGE, label=f"nominal $t_r$ = {t_r:.4g} s")
     ax.set_yscale("symlog", linthresh=2.0 * eps)
