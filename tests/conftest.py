@@ -1,5 +1,6 @@
 """What every test runs under: 64 bits, no silent promotion, checked annotations, reproducible examples."""
 
+import gc
 import itertools
 import os
 from pathlib import Path
@@ -20,6 +21,9 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 mpl.use("agg")
 
+# As the program does: tracing makes many objects that stay, and looking through them each 700 new ones takes its time.
+gc.set_threshold(50_000)
+
 # Before anything imports the package: from here on beartype checks every call against its annotations.
 jaxtyping.install_import_hook("qsmc_jax", "beartype.beartype")
 
@@ -38,5 +42,6 @@ def few_programs():
     if next(_tests) % _EVERY == 0 and _MAPS.exists() and _MAPS.read_bytes().count(b"\n") > _MOST_MAPS:
         from qsmc_jax.study import lanes
 
+        lanes._traced.cache_clear()
         lanes._compiled.cache_clear()
         jax.clear_caches()

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -236,3 +237,32 @@ def test_without_docstrings_and_without_a_home(tmp_path):
     command = [sys.executable, "-OO", "-m", "qsmc_jax", "verify", STUDY, *SMALL, "--out", str(tmp_path / "run")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def read_by_nobody(*arguments):
+    """The program with standard output that nobody reads any more, as after `qsmc ... | head`."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        return subprocess.run([sys.executable, "-m", "qsmc_jax", *arguments], stdout=writer, stderr=subprocess.PIPE)
+    finally:
+        os.close(writer)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["verify", "--help"], ["init", "--help"], ["--version"]])
+def test_help_that_nobody_reads_to_the_end_is_no_error(arguments):
+    ended = read_by_nobody(*arguments)
+    assert (ended.returncode, ended.stderr) == (0, b"")
+
+
+def test_a_reader_who_goes_interrupts(monkeypatch):
+    def gone(*_, **__):
+        try:
+            raise BrokenPipeError
+        except BrokenPipeError:
+            raise SystemExit(1)  # noqa: B904  # so does the library that draws tables
+
+    monkeypatch.setattr("qsmc_jax.verify", gone)
+    result = qsmc("verify", STUDY, *SMALL, "--json")
+    assert result.exit_code == 3
+    assert only_json(result.stdout)["error"]["kind"] == "interrupted"

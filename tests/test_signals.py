@@ -11,6 +11,7 @@ import scipy.integrate
 
 import qsmc_jax as qj
 from qsmc_jax.base.errors import InputError
+from qsmc_jax.study.lanes import Lanes
 from studies_for_tests import Integrator, study
 
 CLOSE = 1e-5
@@ -117,6 +118,12 @@ def test_other_numbers_compile_nothing():
         assert compiled
     finally:
         listen.is_over = True
+
+
+@pytest.mark.parametrize("study", [study, WAVY], ids=["of a library", "of one's own"])
+def test_no_program_calls_the_host_since_none_that_does_is_kept_on_disk(study):
+    lanes = Lanes(study, qj.SolverSettings(), 64)
+    assert "callback" not in lanes.compile("tsit5", np.linspace(0.0, 1.0, 7)).as_text()
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
 """Rewritten functions against the functions themselves: equal values and derivatives, and nothing slow left."""
 
+import functools as ft
+
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.extend.core
@@ -159,6 +162,27 @@ def test_unknown_primitives_are_left_alone():
         return jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), np.float64), x) + jnp.cos(x)
 
     np.testing.assert_allclose(vectorised(called_back)(0.3), np.sin(0.3) + np.cos(0.3), rtol=RTOL)
+
+
+def saved_at(ts, message=""):
+    """e^-t at these times; with a message also a check of one's own that fails."""
+    ts = eqx.error_if(ts, ts[0] > 0.2, message) if message else ts
+    term, options = dfx.ODETerm(lambda t, y, args: -y), {"saveat": dfx.SaveAt(ts=ts), "throw": False}
+    return dfx.diffeqsolve(term, dfx.Tsit5(), 0.0, 1.0, 1e-3, jnp.ones(()), max_steps=1000, **options).ys
+
+
+def test_checks_that_cannot_fail_call_the_host_no_more():
+    ts = np.array([0.3, 0.7])
+    assert "pure_callback" in names_used(saved_at, ts)
+    assert "pure_callback" not in names_used(vectorised(saved_at), ts)
+    np.testing.assert_allclose(jax.jit(vectorised(jax.vmap(saved_at)))(ts[None]), np.exp(-ts)[None], rtol=1e-10)
+    np.testing.assert_allclose(jax.grad(lambda ts: vectorised(saved_at)(ts)[1])(ts), [0.0, -np.exp(-0.7)], rtol=1e-4)
+
+
+@pytest.mark.parametrize("message", ["too late", "saveat.ts"])
+def test_other_checks_fail_as_before(message):
+    with pytest.raises(Exception, match=message):
+        eqx.filter_jit(vectorised(ft.partial(saved_at, message=message)))(jnp.array([0.3, 0.7]))
 
 
 def test_away_from_the_cpu_nothing_is_replaced(monkeypatch):

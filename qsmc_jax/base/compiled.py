@@ -22,13 +22,30 @@ def compiled(fn: Callable[..., Any], *arguments: Any, vectorise: bool) -> Callab
         vectorise: Whether its sines, cosines, tangents and arctangents are replaced, see `vectorised`. Where none is
             left, the program is given wide vectors.
     """
+    return traced(fn, *arguments, vectorise=vectorise)()
+
+
+def traced(fn: Callable[..., Any], *arguments: Any, vectorise: bool) -> Callable[[], Callable[..., Any]]:
+    """The same in two parts: what it returns compiles, for which Python, all of whose work is done here, is not needed.
+
+    Args:
+        fn: As for `compiled`, and so are the others.
+        *arguments: Its arguments.
+        vectorise: Whether sines and the like are replaced.
+    """
     begin, chosen = time.perf_counter(), platform()
-    traced = jax.jit(vectorised(fn) if vectorise else fn).trace(*arguments)
-    is_wide = vectorise and chosen.rewrites and is_vectorised(traced.jaxpr)
+    program = jax.jit(vectorised(fn) if vectorise else fn).trace(*arguments)
+    is_wide = vectorise and chosen.rewrites and is_vectorised(program.jaxpr)
     options = chosen.wide_options if is_wide else chosen.options
-    program = traced.lower().compile(compiler_options=dict(options) or None)
-    _LOG.info("compiled %s in %.1f s", _named(fn), time.perf_counter() - begin)
-    return program
+    lowered, tracing = program.lower(), time.perf_counter() - begin
+
+    def compile_now() -> Callable[..., Any]:
+        begin = time.perf_counter()
+        made = lowered.compile(compiler_options=dict(options) or None)
+        _LOG.info("compiled %s in %.1f s, traced in %.1f s", _named(fn), time.perf_counter() - begin, tracing)
+        return made
+
+    return compile_now
 
 
 def _named(fn: Any) -> str:

@@ -7,6 +7,7 @@ programs inside an operation, and is left as it is when rewritten.
 """
 
 import functools as ft
+import inspect
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
@@ -258,10 +259,12 @@ class Rewriter:
 
     Args:
         functions: What to put in the place of operations of one input, by their names.
+        known_to_hold: How messages begin of checks at run time that can't fail here. Such a check calls the host, and
+            JAX keeps no program on disk that does: it is left out.
     """
 
-    def __init__(self, functions: Mapping[str, Callable[..., Any]]):
-        self._functions, self._problem = functions, _MISSING
+    def __init__(self, functions: Mapping[str, Callable[..., Any]], known_to_hold: str = ""):
+        self._functions, self._known_to_hold, self._problem = functions, known_to_hold, _MISSING
         self._calls: dict[Any, Any] = {}
         self._done: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
 
@@ -316,9 +319,9 @@ class Rewriter:
 
     def _equation(self, raw: Any) -> Any:
         equation = _equation(raw)
-        if self._is_slow(equation):
-            fast = self._call(equation)
-            return raw.replace(primitive=fast.primitive, params=fast.params)
+        if self._is_replaced(equation):
+            other = self._call(equation) if self._is_slow(equation) else _zeros(equation)
+            return raw.replace(primitive=other.primitive, params=other.params, effects=other.effects)
         if equation.name in _ENTERED and any(map(self._holds, programs_in(equation.params))):
             # `bwd`, the backward pass of a custom derivative, is a function of numbers: it makes no program.
             return raw.replace(params={k: v if k == "bwd" else self._part(v) for k, v in equation.params.items()})
@@ -328,13 +331,16 @@ class Rewriter:
         program, *rest = rule.call_wrapped(*args)
         return self._or_same(program, self._part), *rest
 
+    def _is_replaced(self, equation: Equation) -> bool:
+        return self._is_slow(equation) or bool(self._known_to_hold and _told(equation).startswith(self._known_to_hold))
+
     def _is_slow(self, equation: Equation) -> bool:
         return equation.name in self._functions and dtype_of(equation.inputs[0]) == np.float64
 
     def _holds(self, program: Program, or_hides: bool = False) -> bool:
         """Whether there is something to replace in it; a program left as it is keeps what JAX has cached for it."""
         return any(
-            self._is_slow(equation)
+            self._is_replaced(equation)
             or (or_hides and equation.name in OPAQUE and any(dtype_of(each) == np.float64 for each in equation.outputs))
             or any(self._holds(inner, or_hides) for inner in programs_in(equation.params))
             for equation in map(_equation, getattr(program, "jaxpr", program).eqns)
@@ -349,3 +355,27 @@ class Rewriter:
             with in_64_bits():
                 (self._calls[key],) = jax.make_jaxpr(self._functions[equation.name])(stand_in).eqns
         return self._calls[key]
+
+
+def _told(equation: Equation) -> str:
+    """What a check at run time says where it fails; empty if an operation is none."""
+    if equation.name != "pure_callback":
+        return ""
+    tells = getattr(equation.params.get("callback"), "callback_func", None)
+    if getattr(tells, "__module__", "") != "equinox._errors":
+        return ""
+    told = inspect.getclosurevars(tells).nonlocals.get("msgs", ())
+    return told[0] if len(told) == 1 else ""
+
+
+def _zeros(equation: Equation) -> Any:
+    """The one equation that makes zeros in the place of an operation's results."""
+
+    def make(*inputs: Any) -> tuple[Any, ...]:
+        del inputs
+        return tuple(jax.numpy.zeros(shape_of(each), dtype_of(each)) for each in equation.outputs)
+
+    stand_ins = [jax.ShapeDtypeStruct(shape_of(each), dtype_of(each)) for each in equation.inputs]
+    with in_64_bits():
+        (made,) = jax.make_jaxpr(jax.jit(make))(*stand_ins).eqns
+    return made

@@ -120,10 +120,12 @@ def run_campaign(
     is_anytime = folder.ask_for(runs, until is not None)
     evidence, session = Evidence(recipe.study, worst), folder.begin_session(provenance or {})
     state, decision = "interrupted", None
-    blocks = Blocks(folder, recipe, runs, should_stop)
-    solving = blocks.solved(engine or Threads(), session)
+    blocks, engine = Blocks(folder, recipe, runs, should_stop), engine or Threads()
+    solving = blocks.solved(engine, session)
+    is_solved_here = isinstance(engine, Threads) and bool(folder.missing(0, runs))
     try:
-        with Rungs.of(recipe.study, recipe.settings).compiling_check(recipe.study):
+        first = recipe.lanes if is_solved_here else None
+        with Rungs.of(recipe.study, recipe.settings).compiling_check(recipe.study, first):
             for done in blocks.in_order(solving):
                 for table in folder.tables(evidence.runs, done):
                     evidence.add(table)

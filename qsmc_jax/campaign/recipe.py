@@ -85,11 +85,12 @@ class Recipe:
     @ft.cached_property
     def planner(self) -> Planner:
         """What the blocks so far taught of the cost of a run; compiles on first use."""
-        self._lanes.compile_nominal()
-        return Planner(self._lanes, self.seed, Random())
+        self.lanes.compile_nominal()
+        return Planner(self.lanes, self.seed, Random())
 
     @property
-    def _lanes(self) -> Lanes:
+    def lanes(self) -> Lanes:
+        """The lanes of the first solve."""
         return Lanes(self.study, self.settings, block_size(self.block))
 
     @property
@@ -106,7 +107,7 @@ class Recipe:
         """
         self.study.require_unchanged()
         planner, workload, begin = self.planner, Workload(), time.perf_counter()
-        escalation = Escalation(self.stream, Rungs.of(self.study, self.settings), self._lanes.count)
+        escalation = Escalation(self.stream, Rungs.of(self.study, self.settings), self.lanes.count)
         options = {"settings": self.settings, "workload": workload, "planner": planner, "progress": progress}
         tables = list(through(escalation, self.stream(runs, **options)))
         table = concatenate(tables)

@@ -64,6 +64,10 @@ def _end(error: BaseException, words: Sequence[str], has_answered: bool) -> int:
     show: Callable[[], None] | None = getattr(error, "show", None)
     if show is not None:
         kind, code, text = "bad input", BAD_INPUT, error.format_message()  # pyright: ignore
+    elif isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError):
+        if "--help" in _options(words):  # whoever reads it in part has had what he wanted
+            return HELD
+        kind, code, text = "interrupted", UNDECIDED, "interrupted: whoever read what it prints has gone."
     elif isinstance(error, KeyboardInterrupt | Interruption) or type(error).__name__ == "Abort":
         kind, code, text = "interrupted", UNDECIDED, str(error) or "interrupted; nothing half-done was kept."
     elif isinstance(error, InputError | OSError):

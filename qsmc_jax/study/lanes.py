@@ -3,14 +3,14 @@
 import dataclasses
 import functools as ft
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind
-from qsmc_jax.base.compiled import compiled
+from qsmc_jax.base.compiled import traced
 from qsmc_jax.base.platforms import platform
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.simulation.figures import Figures
@@ -21,6 +21,9 @@ from qsmc_jax.study.one_run import run, run_along, stiffness_at
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
 
+_Shapes: TypeAlias = tuple[tuple[int, ...], ...]
+# Shapes of the bandwidth and the tolerances, which every block of rows is given.
+_ROWS: _Shapes = (), (), ()
 # Blocks of any multiple of this many lanes give bitwise the same rows, however the runs are cut into blocks.
 LANE_MULTIPLE = 64
 
@@ -46,7 +49,7 @@ class Lanes:
 
     def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
         """How stiff each of up to `count` runs will be."""
-        program = self._compiled(_stiffness, ())
+        program = self._made(_compiled, _stiffness, ())
         with in_64_bits():
             return np.asarray(program(self._filled(points), self.study.numbers))[: len(points)]
 
@@ -55,7 +58,7 @@ class Lanes:
 
         Compiled on the first call, then the same one whatever values the names and tolerances have.
         """
-        return self.compile_block(_Block(self.choices(method, adjoint="forward")), *grid)
+        return self.compile_block(self._rows(method), *grid)
 
     def choices(self, method: str, **changes: Any) -> tuple[tuple[str, Any], ...]:
         """Name and value of what is static in the settings of a block; `compile_block` vectorises the whole of it.
@@ -67,6 +70,10 @@ class Lanes:
     def compile_nominal(self) -> None:
         """The program that the nominal run needs, and with it most others."""
         self.compile(self.nominal_method)
+
+    def trace_nominal(self) -> None:
+        """The part of the same that needs Python, which does one thing at a time."""
+        self._made(_traced, self._rows(self.nominal_method), _ROWS)
 
     @property
     def nominal_method(self) -> str:
@@ -80,7 +87,7 @@ class Lanes:
 
     def compile_block(self, block: Callable[..., Any], *more: np.ndarray) -> Callable[..., Any]:
         """The program of a block, given points, values, bandwidth, tolerances, and what else such a block takes."""
-        return self._compiled(block, ((), (), (), *map(np.shape, more)))
+        return self._made(_compiled, block, (*_ROWS, *map(np.shape, more)))
 
     def call(self, program: Callable[..., Any], points: Float[np.ndarray, "runs dim"], *more: np.ndarray) -> Any:
         """What such a program makes of up to `count` points, on the host; rows beyond them mean nothing."""
@@ -88,9 +95,13 @@ class Lanes:
         with in_64_bits():
             return jax.device_get(program(self._filled(points), self.study.numbers, *numbers, *more))
 
-    def _compiled(self, block: Callable[..., Any], rest: tuple[tuple[int, ...], ...]) -> Callable[..., Any]:
+    def _rows(self, method: str) -> "_Block":
+        return _Block(self.choices(method, adjoint="forward"))
+
+    def _made(self, make: Callable[..., Any], block: Callable[..., Any], rest: "_Shapes") -> Callable[..., Any]:
+        """What `_traced` or `_compiled` makes of a block."""
         study, vectorise = self.study, self.settings.vectorise
-        return _compiled(block, study.made, self._shapes(), study.dimension, self.count, rest, vectorise)
+        return make(block, study.made, self._shapes(), study.dimension, self.count, rest, vectorise)
 
     def _filled(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "lanes dim"]:
         """The points, and the first again for every lane left over."""
@@ -113,23 +124,31 @@ def block_size(block: int | None) -> int:
     return platform().block if block is None else block
 
 
-@ft.lru_cache(maxsize=64)
-def _compiled(
+# What compiles the last few programs traced: it takes memory, and is asked for once more at most.
+@ft.lru_cache(maxsize=2)
+def _traced(
     block: Callable[..., Any],
     scenario: Made,
     shapes: tuple[tuple[str, tuple[int, ...]], ...],
     dim: int,
     count: int,
-    rest: tuple[tuple[int, ...], ...],
+    rest: _Shapes,
     vectorise: bool,
-) -> Callable[..., Any]:
-    """The program of `block(scenario, points, values, *rest)` for arguments of the given shapes."""
+) -> Callable[[], Callable[..., Any]]:
+    """What compiles the program of `block(scenario, points, values, *rest)` for arguments of the given shapes."""
     scenario.require_unchanged()
     with in_64_bits():
         points = jax.ShapeDtypeStruct((count, dim), np.float64)
         values = {name: jax.ShapeDtypeStruct(shape, np.float64) for name, shape in shapes}
         others = (jax.ShapeDtypeStruct(shape, np.float64) for shape in rest)
-        return compiled(ft.partial(block, scenario), points, values, *others, vectorise=vectorise)
+        return traced(ft.partial(block, scenario), points, values, *others, vectorise=vectorise)
+
+
+@ft.lru_cache(maxsize=64)
+def _compiled(*what: Any) -> Callable[..., Any]:
+    """The program of what `_traced` is given."""
+    with in_64_bits():
+        return _traced(*what)()
 
 
 def _stiffness(

@@ -7,7 +7,7 @@ to stop. A confidence sequence covers the probability at all numbers of runs tog
 import math
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from qsmc_jax.base.checks import require, require_fraction
 
@@ -60,6 +60,8 @@ def confidence_sequence(violated: int, undecided: int, total: int, confidence: f
 
 def _end(k: int, n: int, level: float, far: float) -> float:
     """The probability on one side of k/n at which log M reaches the level."""
+    from scipy import optimize  # only stopping rules need it: every command would wait for it
+
     middle = float(np.clip(special.logit(k / n), -_FAR, _FAR))
     return float(special.expit(optimize.brentq(lambda x: _log_mixture_ratio(x, k, n) - level, middle, far, xtol=1e-12)))
 

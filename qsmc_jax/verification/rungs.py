@@ -55,12 +55,15 @@ class Rungs:
         return {"settings": settings} if is_same_program else {"settings": settings, "block": LANE_MULTIPLE}
 
     @contextlib.contextmanager
-    def compiling_check(self, study: Study) -> Iterator[None]:
+    def compiling_check(self, study: Study, first: Lanes | None) -> Iterator[None]:
         """Meanwhile a thread compiles what checks rung 0, which is needed last; the end waits for it.
 
         Args:
             study: The study.
+            first: Lanes of rung 0, to be traced before, so that its compilation comes first; None if not needed here.
         """
+        if first is not None:
+            first.trace_nominal()
         with ThreadPoolExecutor(1) as aside:
             options = self.options(self.check_of(0))
             # Without a number of lanes of its own it is the program that solves.

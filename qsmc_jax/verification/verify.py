@@ -80,11 +80,13 @@ def verify(
     settings, sampling = settings or SolverSettings(), sampling or Random()
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
-    Lanes(study, settings, block).compile_nominal()
+    lanes = Lanes(study, settings, block)
     workload, evidence, rungs = Workload(), Evidence(study, worst), Rungs.of(study, settings)
     escalation = Escalation(solve, rungs, block)
-    begin, decision, look = time.perf_counter(), None, runs if until is None else LOOK
-    with rungs.compiling_check(study):
+    decision, look = None, runs if until is None else LOOK
+    with rungs.compiling_check(study, lanes):
+        lanes.compile_nominal()
+        begin = time.perf_counter()
         for start in range(0, runs, look):
             part = range(start, min(start + look, runs))
             options = {"settings": settings, "workload": workload, "progress": part_of(progress, start, runs)}
