@@ -8,6 +8,7 @@ from typing import Any
 import jax
 
 from qsmc_jax.base.platforms import platform
+from qsmc_jax.base.stack import with_room
 from qsmc_jax.base.vectorise import is_vectorised, vectorised
 
 _LOG = logging.getLogger(__name__)
@@ -34,10 +35,10 @@ def traced(fn: Callable[..., Any], *arguments: Any, vectorise: bool) -> Callable
         vectorise: Whether sines and the like are replaced.
     """
     begin, chosen = time.perf_counter(), platform()
-    program = jax.jit(vectorised(fn) if vectorise else fn).trace(*arguments)
+    program = with_room(jax.jit(vectorised(fn) if vectorise else fn).trace, *arguments)
     is_wide = vectorise and chosen.rewrites and is_vectorised(program.jaxpr)
     options = chosen.wide_options if is_wide else chosen.options
-    lowered, tracing = program.lower(), time.perf_counter() - begin
+    lowered, tracing = with_room(program.lower), time.perf_counter() - begin
 
     def compile_now() -> Callable[..., Any]:
         begin = time.perf_counter()

@@ -11,6 +11,7 @@ import numpy as np
 from jax import experimental
 
 from qsmc_jax.base.checks import is_traced
+from qsmc_jax.base.stack import with_room
 
 # Contexts. JAX has this one where it documents it from 0.8 on.
 _home: Any = jax if hasattr(jax, "enable_x64") else experimental
@@ -36,7 +37,7 @@ def entry_point(function: Callable[P, R]) -> Callable[P, R]:
             with in_64_bits():
                 return to_numpy(function(*args, **kwargs))
 
-        return _outside_traces(at_once) if is_traced(jnp.zeros(())) else at_once()
+        return _outside_traces(at_once) if is_traced(jnp.zeros(())) else with_room(at_once)
 
     return wrapped
 

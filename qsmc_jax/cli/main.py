@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from qsmc_jax import __version__
+from qsmc_jax.base.stack import with_room
 from qsmc_jax.cli.campaign_commands import register_campaign
 from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, MEANING, UNDECIDED, VIOLATED, code_of
@@ -28,7 +29,7 @@ from qsmc_jax.cli.tune_command import tune_study
 from qsmc_jax.cli.verify_command import verify_study
 
 # After so many new ones Python looks for objects that nobody refers to.
-_NEW_OBJECTS = 50_000
+_NEW_OBJECTS = 200_000
 
 app = typer.Typer(
     cls=Program,
@@ -140,8 +141,9 @@ def main() -> None:
     gc.set_threshold(_NEW_OBJECTS)
     with obeying():
         try:
-            app(prog_name="qsmc")
+            with_room(app, prog_name="qsmc")
         except SystemExit as end:
+            gc.freeze()  # or Python looks through them once more as it ends
             if end.code == UNDECIDED:
                 # An interruption leaves threads at work, for which Python would wait.
                 sys.stdout.flush()

@@ -49,9 +49,11 @@ class Lanes:
 
     def stiffness(self, points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, " runs"]:
         """How stiff each of up to `count` runs will be."""
-        program = self._made(_compiled, _stiffness, ())
+        # One program for blocks of all sizes, but for very large ones: it costs less to fill than to compile.
+        lanes = dataclasses.replace(self, count=max(self.count, platform().block))
+        program = lanes._made(_compiled, _stiffness, ())
         with in_64_bits():
-            return np.asarray(program(self._filled(points), self.study.numbers))[: len(points)]
+            return np.asarray(program(lanes._filled(points), self.study.numbers))[: len(points)]
 
     def compile(self, method: str, *grid: np.ndarray) -> Callable[..., Any]:
         """The program: of rows, or given times, of signals at them.

@@ -7,6 +7,8 @@ from jaxtyping import Float, Int
 
 # Weight of the penalty on the coefficients, against the number of runs seen: enough to make the system regular.
 _PENALTY = 1e-6
+# Features from which on a product takes longer by one thread than the others would be in the way.
+_MANY_FEATURES = 500
 
 
 @dataclasses.dataclass
@@ -48,8 +50,8 @@ class Schedule:
         """Takes in runs that have been solved; those that took no step are passed over."""
         taken = steps > 0
         features = _features(points[taken])
-        self._gram += features.T @ features
-        self._moments += features.T @ np.log(steps[taken])
+        self._gram += _product(features, features)
+        self._moments += _product(features, np.log(steps[taken]))
         self._seen += int(taken.sum())
 
     def order(
@@ -65,3 +67,14 @@ class Schedule:
 
 def _features(points: Float[np.ndarray, "runs dim"]) -> Float[np.ndarray, "runs features"]:
     return np.concatenate([np.ones((len(points), 1)), points - 0.5, (points - 0.5) ** 2], axis=1)
+
+
+def _product(features: Float[np.ndarray, "runs features"], others: np.ndarray) -> np.ndarray:
+    """The features, transposed, times others; by one thread, unless there are very many.
+
+    A large product starts as many threads as there are cores, which wait for more work for 30 ms, at full speed: in
+    the way of those that solve.
+    """
+    if features.shape[1] > _MANY_FEATURES:
+        return features.T @ others
+    return np.einsum("ri,r...->i...", features, others)
