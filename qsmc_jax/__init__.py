@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from qsmc_jax.implementation.implementation import Jitter as Jitter
     from qsmc_jax.implementation.implementation import random_jitter as random_jitter
     from qsmc_jax.loop import ClosedLoop as ClosedLoop
+    from qsmc_jax.metrics.standard import Figures as Figures
     from qsmc_jax.model import disturbances as disturbances
     from qsmc_jax.model import plants as plants
     from qsmc_jax.model import references as references
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
     from qsmc_jax.model.references import AbstractReference as AbstractReference
-    from qsmc_jax.simulation.figures import Figures as Figures
     from qsmc_jax.simulation.outcome import Outcome as Outcome
     from qsmc_jax.simulation.outcome import Verdict as Verdict
     from qsmc_jax.simulation.settings import SolverSettings as SolverSettings
@@ -83,7 +83,7 @@ _HOMES = {
     "AbstractDisturbance": "qsmc_jax.model.disturbances",
     "AbstractPlant": "qsmc_jax.model.plants",
     "AbstractReference": "qsmc_jax.model.references",
-    "Figures": "qsmc_jax.simulation.figures",
+    "Figures": "qsmc_jax.metrics.standard",
     "Outcome": "qsmc_jax.simulation.outcome",
     "Verdict": "qsmc_jax.simulation.outcome",
     "SolverSettings": "qsmc_jax.simulation.settings",
@@ -122,6 +122,7 @@ _NAMESPACES = {
     "campaign": "qsmc_jax.campaign",
     "controllers": "qsmc_jax.control.controllers",
     "disturbances": "qsmc_jax.model.disturbances",
+    "metrics": "qsmc_jax.metrics",
     "noises": "qsmc_jax.implementation.noises",
     "objectives": "qsmc_jax.tuning.objectives",
     "paper": "qsmc_jax.paper",

@@ -37,7 +37,7 @@ def table(start, stop):
 
 
 def test_a_block_comes_back_as_it_was_written(tmp_path):
-    file = write_block(tmp_path, table(5, 900), {"escalated": [1, 0], "defects": [7]}, study.specs, OWNER)
+    file = write_block(tmp_path, table(5, 900), {"escalated": [1, 0], "defects": [7]}, study.records, OWNER)
     assert (file.start, file.stop) == (5, 900)
     assert block_files(tmp_path) == [file]
     read, about = file.read(OWNER)
@@ -49,7 +49,7 @@ def test_a_block_comes_back_as_it_was_written(tmp_path):
 
 
 def test_equal_rows_have_equal_names(tmp_path):
-    files = [write_block(tmp_path, table(0, 100), {"escalated": [0, 0]}, study.specs, OWNER) for _ in range(2)]
+    files = [write_block(tmp_path, table(0, 100), {"escalated": [0, 0]}, study.records, OWNER) for _ in range(2)]
     assert files[0] == files[1]
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -57,7 +57,7 @@ def test_equal_rows_have_equal_names(tmp_path):
 @given(place=st.integers(0, 10**9), bit=st.integers(0, 7))
 def test_a_flipped_bit_anywhere_is_noticed(tmp_path_factory, place, bit):
     folder = tmp_path_factory.mktemp("blocks")
-    file = write_block(folder, table(0, 50), {}, study.specs, OWNER)
+    file = write_block(folder, table(0, 50), {}, study.records, OWNER)
     content = bytearray(file.path.read_bytes())
     content[place % len(content)] ^= 1 << bit
     file.path.write_bytes(content)
@@ -66,21 +66,21 @@ def test_a_flipped_bit_anywhere_is_noticed(tmp_path_factory, place, bit):
 
 
 def test_a_truncated_file_is_noticed(tmp_path):
-    file = write_block(tmp_path, table(0, 50), {}, study.specs, OWNER)
+    file = write_block(tmp_path, table(0, 50), {}, study.records, OWNER)
     file.path.write_bytes(file.path.read_bytes()[:-100])
     with pytest.raises(BlockError, match="is damaged"):
         file.read(OWNER)
 
 
 def test_a_block_of_another_campaign_is_named(tmp_path):
-    file = write_block(tmp_path, table(0, 50), {}, study.specs, "another")
+    file = write_block(tmp_path, table(0, 50), {}, study.records, "another")
     with pytest.raises(BlockError, match=r"is of another campaign \(fingerprint another there, mine here\)"):
         file.read(OWNER)
 
 
 @pytest.mark.parametrize(("start", "stop"), [(50, 100), (0, 49), (1, 50), (0, 51)])
 def test_a_block_under_the_name_of_another_is_named(tmp_path, start, stop):
-    file = write_block(tmp_path, table(0, 50), {}, study.specs, OWNER)
+    file = write_block(tmp_path, table(0, 50), {}, study.records, OWNER)
     other = file.path.with_name(f"{start:012d}-{stop:012d}-{file.path.name[26:]}")
     file.path.rename(other)
     (there,) = block_files(tmp_path)
@@ -102,7 +102,7 @@ def test_another_table_is_no_block(tmp_path, columns):
 
 
 def test_any_parquet_reader_sees_descriptions_and_units(tmp_path):
-    file = write_block(tmp_path, table(0, 50), {}, study.specs, OWNER)
+    file = write_block(tmp_path, table(0, 50), {}, study.records, OWNER)
     schema = pq.read_schema(file.path)
     assert schema.field("d").metadata[b"description"] == b"Drawn by the study: uniform."
     assert b"1 - peak_ratio" in schema.field("margin").metadata[b"description"]

@@ -187,7 +187,7 @@ def test_a_damaged_block_is_told_put_aside_and_solved_again(tmp_path, plain, spo
 def test_overlapping_files_give_each_row_once(tmp_path, plain):
     folder = new(tmp_path / "run")
     for runs in (range(0, 100), range(50, 192), range(192, RUNS), range(128, 200)):
-        folder.add(RECIPE.solve(runs), study.specs)
+        folder.add(RECIPE.solve(runs), study.records)
     require_equal(rows(folder), plain[1])
     assert folder.missing(0, RUNS) == []
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import qsmc_jax as qj
-from qsmc_jax.simulation.figures import Figures
+from qsmc_jax.metrics.standard import Figures
 
 
 def study_with(name):

@@ -38,7 +38,7 @@ def test_the_effort_is_that_of_the_runs_asked_for(folder):
     for start, escalated, defects in ((0, (3, 1), (7, 63)), (64, (2, 0), (64, 100)), (128, (5, 5), (130,))):
         index = np.arange(start, start + 64)
         rows = Runs({"index": index, "d": index / 7.0, "verdict": np.zeros(64, int)}, ("d",))
-        folder.add(Solved(rows, escalated, defects, 0, 0, 0.0), study.specs)
+        folder.add(Solved(rows, escalated, defects, 0, 0, 0.0), study.records)
     assert folder.effort(192) == {"escalated": (10, 6), "defects": (7, 63, 64, 100, 130)}
     assert folder.effort(128) == {"escalated": (5, 1), "defects": (7, 63, 64, 100)}
     assert folder.effort(64) == {"escalated": (3, 1), "defects": (7, 63)}

@@ -9,6 +9,7 @@ import dataclasses
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.columns import described
-from qsmc_jax.study.draw import DrawSpec
+from qsmc_jax.metrics.record import Record
 from qsmc_jax.study.runs import Runs
 
 _NAME = re.compile(r"(\d{12})-(\d{12})-([0-9a-f]{16})\.parquet")
@@ -85,7 +86,7 @@ class Block(NamedTuple):
 
 
 def write_block(
-    folder: Path, table: Runs, about: dict[str, Any], specs: tuple[DrawSpec, ...], fingerprint: str
+    folder: Path, table: Runs, about: dict[str, Any], records: Mapping[str, Record], fingerprint: str
 ) -> BlockFile:
     """Writes rows of consecutive runs.
 
@@ -93,7 +94,7 @@ def write_block(
         folder: Where block files are.
         table: The rows, in order.
         about: What to write besides, plain numbers; equal for equal rows.
-        specs: The drawn names.
+        records: What is known of the columns that the study alone has.
         fingerprint: That of the campaign.
 
     Returns:
@@ -105,7 +106,7 @@ def write_block(
     rows = pa.table(dict(table.columns))
     start, stop = int(table["index"][0]), int(table["index"][-1]) + 1
     written = {"names": table.names, "fingerprint": fingerprint, "runs": (start, stop), **about}
-    schema = described(rows.schema, specs).with_metadata({_KEY: json.dumps(written)})
+    schema = described(rows.schema, records).with_metadata({_KEY: json.dumps(written)})
     sink = pa.BufferOutputStream()
     # Drawn numbers and figures hardly ever repeat: without a dictionary they take less room, and a third of the time.
     pq.write_table(rows.cast(schema), sink, compression="zstd", use_dictionary=False)

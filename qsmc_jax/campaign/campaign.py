@@ -229,7 +229,7 @@ class Blocks:
         """Numbers of blocks, each once all of its rows are in the folder, in any order."""
         for task, parts in engine.solve(self.recipe, self._tasks()):
             for solved in parts:
-                self.folder.add(solved, self.recipe.study.specs)
+                self.folder.add(solved, self.recipe.study.records)
                 session.add(solved)
             yield task.number
 

@@ -17,7 +17,7 @@ from qsmc_jax.campaign.atomic import is_dead, machine, remove_leftovers, tempora
 from qsmc_jax.campaign.blocks import Block, BlockError, BlockFile, block_files, gaps, write_block
 from qsmc_jax.campaign.documents import IDENTITY, MANIFEST, REQUEST, SESSION, SUMMARY, read_document, require_keys
 from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
-from qsmc_jax.study.draw import DrawSpec
+from qsmc_jax.metrics.record import Record
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.verification.stopping import LOOK
 
@@ -218,16 +218,22 @@ class RunFolder:
         """
         return gaps(self.sound_files(start, stop), start, stop)
 
-    def add(self, solved: Solved, specs: tuple[DrawSpec, ...]) -> None:
+    def add(self, solved: Solved, records: Mapping[str, Record]) -> None:
         """Writes rows of consecutive runs as a block file.
 
         Args:
             solved: The rows, and what they cost.
-            specs: The names that they were drawn by.
+            records: What is known of the columns that the study alone has.
         """
         about = {"escalated": solved.escalated, "defects": solved.defects}
-        write_block(self.path / "blocks", solved.rows, about, specs, self.fingerprint)
+        write_block(self.path / "blocks", solved.rows, about, records, self.fingerprint)
         _LOG.info("wrote %d rows from run %d on", len(solved.rows), solved.rows["index"][0])
+
+    def schema(self) -> Any:
+        """The columns as pyarrow has them, with descriptions and units; there must be a block."""
+        import pyarrow.parquet as pq
+
+        return pq.read_schema(block_files(self.path / "blocks")[0].path)
 
     def tables(self, start: int = 0, stop: int | None = None) -> Iterator[Runs]:
         """Rows of the runs start ... stop - 1 that there are, in order, each once; damaged files are passed over.

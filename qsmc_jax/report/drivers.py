@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, ORANGE, panels
+from qsmc_jax.metrics.standard import record_of
 from qsmc_jax.study.runs import Runs, concatenate
 
 # Rows taken: the first ones, which are as random as any.
@@ -59,7 +60,7 @@ class Drivers:
         ax.set(title="What goes with the margin", xlabel="Spearman rank correlation [-]", xlim=(-1.05, 1.05))
         for ax, name in zip(axes[1:], shown, strict=True):
             ax.scatter(self.rows[name][:5000], self.rows["margin"][:5000], s=4, alpha=0.35, color=BLUE, rasterized=True)
-            ax.set(title=f"rank correlation {values[name]:+.2f}", xlabel=name, ylabel=r"$1 - \sup|\sigma|/\rho$ [-]")
+            ax.set(title=f"rank correlation {values[name]:+.2f}", xlabel=name, ylabel=record_of("margin").axis)
         return axes
 
 

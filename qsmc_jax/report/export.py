@@ -7,7 +7,6 @@ import pyarrow as pa
 from pyarrow import csv
 from scipy.io import netcdf_file
 
-from qsmc_jax.campaign.columns import described
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.study.runs import concatenate
@@ -30,7 +29,7 @@ def write_csv(folder: RunFolder, path: Path) -> None:
 def write_netcdf(folder: RunFolder, path: Path) -> None:
     """All rows as NetCDF 3 with the dimension `run`, descriptions and units; very large whole numbers as floats."""
     rows = concatenate(list(folder.tables()))
-    about = {field.name: field.metadata or {} for field in described(pa.table(dict(rows.columns)).schema, ())}
+    about = {field.name: field.metadata or {} for field in folder.schema()}
     with netcdf_file(path, "w", version=2) as file:
         file.createDimension("run", len(rows))
         for name in rows:

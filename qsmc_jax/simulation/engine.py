@@ -16,8 +16,10 @@ from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.control.settling import settling_time
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.simulation.coordinates import named_coordinates
-from qsmc_jax.simulation.figures import Ending, Figures, read_figures
+from qsmc_jax.simulation.figures import Ending, read_figures
 from qsmc_jax.simulation.guarded_solver import GuardedSolver, Run
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
@@ -33,7 +35,12 @@ _FIRST_STEP = 1e-3
 
 
 def pose(
-    loop: ClosedLoop, x0: State, bandwidth: RealScalarLike, settings: SolverSettings, made_of: Hashable = ()
+    loop: ClosedLoop,
+    x0: State,
+    bandwidth: RealScalarLike,
+    settings: SolverSettings,
+    made_of: Hashable = (),
+    metrics: tuple[AbstractMetric, ...] = (),
 ) -> Problem:
     """The problem of solving a loop from a start: its thresholds and the coordinates that the settings name.
 
@@ -43,6 +50,7 @@ def pose(
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         settings: The settings.
         made_of: Whatever tells loops apart that look alike, since what their functions read from outside differs.
+        metrics: Those of the study.
     """
     surface, funnel = loop.control.surface, loop.control.funnel
     gains = peak_gains(surface.c)
@@ -56,6 +64,7 @@ def pose(
         settling_time=settling_time(surface.c, funnel, bandwidth, bounds, loop.errors(0.0, x0)),
         fence=Fence(settings.rtol / settings.rtol),
         made_of=made_of,
+        metrics=metrics,
     )
 
 
@@ -127,7 +136,7 @@ def _solve_ideal(
         y0=run0,
         args=problem,
         saveat=_saveat(times),
-        stepsize_controller=StepSize(singly(problem.loop.break_times), _first_step(problem, x0, run0, horizon)),
+        stepsize_controller=StepSize(singly(problem.break_times), _first_step(problem, x0, run0, horizon)),
         max_steps=settings.max_steps,
         adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(CHECKPOINTS),
         throw=False,

@@ -1,8 +1,6 @@
 """From the end of a solve to what a user reads: outcome, verdict per claim, and the figures of one run."""
 
-import dataclasses
 from collections.abc import Iterable
-from typing import Any
 
 import diffrax as dfx
 import jax
@@ -13,119 +11,18 @@ from qsmc_jax.base.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.accumulate import read_states
+from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.model.unseen import is_consistent
 from qsmc_jax.simulation.guarded_solver import Run
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.step_size import UNRESOLVED
-from qsmc_jax.simulation.tally import OutsideStep, Peak, Problem, Span
+from qsmc_jax.simulation.tally import IdealStep, OutsideStep, Peak, Problem, Span, no_step
 
 # An instant, relative to the time: some ten thousand units in its last place.
 _IMMINENT = 1e-12
 # Soon, likewise: within that time a run at the funnel's edge is outside if the gain is gone by then.
 _SOON = 1e-10
-
-
-class SampledFigures(AbstractModule):
-    """What is known of a loop with an implementation besides; the steady phase is from t_r to the horizon.
-
-    At default settings the figures of such a loop, these and those of `Figures`, are good to 1e-4 relative to their
-    size (`peak_excess`: to the funnel's; `excess_variation_u`: to that of `total_variation_u`), and with `tight()` to a
-    tenth of that; `high_frequency_ratio` to 1e-3 of all power, `reversal_rate` to one reversal, and `settle_time` is
-    late by up to a period.
-
-    Attributes:
-        recovery_time: Time after which |sigma| < rho for good [s]; 0 if it never was outside, inf if it ends there.
-        peak_excess: sup (|sigma| - rho), in units of the sliding variable; negative inside the funnel.
-        excess_variation_u: In the steady phase, total variation of u less that of the equivalent input -w/g.
-        reversal_rate: Reversals of the command per time in the steady phase [1/s], with 1 % of its range as hysteresis.
-        high_frequency_ratio: Power of u above the cutoff frequency over all of it in the steady phase [-]; it may pass
-            1 where u dies out.
-        peak_rate_u: In the steady phase, largest change of the command from sample to sample over the period.
-    """
-
-    recovery_time: Float[Array, ""]
-    peak_excess: Float[Array, ""]
-    excess_variation_u: Float[Array, ""]
-    reversal_rate: Float[Array, ""]
-    high_frequency_ratio: Float[Array, ""]
-    peak_rate_u: Float[Array, ""]
-
-
-class Figures(AbstractModule):
-    """The figures of one run, each a scalar (`peak_errors`: n scalars). What is not known is NaN, never a guess.
-
-    At default settings, relative to their size, `total_variation_u`, `peak_errors` and `peak_u_bound` of an ideal loop
-    are good to 1e-4, `margin`, `peak_ratio`, `energy_u`, `peak_u` and `rms_error` to 1e-5. At `reach_time` |sigma| is
-    the bandwidth to 1e-4, and at `peak_time` |sigma|/rho its peak to 1e-5; `violation_time` is good to 1e-5 of the
-    horizon. With `tight()` all are good to a tenth of that. `settle_time` is late by up to a step; before t_r, where
-    nothing is claimed of errors, they are looked at where steps meet only. `least_gain` and `largest_disturbance` are
-    what was met there; the others are exact.
-
-    Attributes:
-        verdict: Verdict on the funnel claim, |sigma(t)| < rho(t) for all t.
-        verdict_reaching: Verdict on |sigma(t)| < bandwidth for all t >= t_r.
-        verdict_tracking: Verdict on |e^(i)(t)| <= bandwidth ||G_i||_1 for all t >= t_s and all i, with the settling
-            time t_s >= t_r that the funnel guarantees: the first time from which the sharp envelope |C_i e^{At} E(0)| +
-            int_0^t |h_i(t-s)| rho(s) ds (+ rho(t) for i = n - 1) stays inside that bound.
-        outcome: How the solve ended, an `Outcome`.
-        end_time: Time up to which the run was solved [s].
-        peak_ratio: sup |sigma|/rho [-]; 1 if an ideal loop left the funnel, where it ends.
-        margin: 1 - peak_ratio [-], without cancellation.
-        peak_time: When the peak occurs [s].
-        peak_u: sup |u|, units of the input.
-        peak_u_bound: What the comparison lemma allows for `peak_u`; a higher peak is a defect of the simulator.
-        reach_time: Time after which |sigma| < bandwidth for good [s]; inf if never.
-        violation_time: When the run first left the funnel [s]; inf if it did not.
-        settle_time: Time after which the errors are within their bounds for good, to the step [s]; inf if never.
-        peak_errors: sup |e^(i)| over t >= t_r, i = 0..n-1.
-        rms_error: Root mean square of e over the horizon.
-        energy_u: Integral of u^2.
-        total_variation_u: Integral of |du/dt|; in an ideal loop, reversals within 30 tolerances do not count.
-        least_gain: Least gain_sign * g met at the end of a step; not positive if the premise on the gain is broken.
-        largest_disturbance: Largest |d| met at the end of a step.
-        steps: Steps taken, kept or not.
-        sampled: What is known of a loop with an implementation besides; None for the ideal loop.
-
-    Examples:
-        >>> import qsmc_jax as qj
-        >>> figures = qj.simulate(qj.paper.example1(), [0.9, 0.9], t1=2.0, bandwidth=0.1).figures
-        >>> round(float(figures.peak_ratio), 3), round(float(figures.columns()["rms_error"]), 3)
-        (0.632, 0.46)
-    """
-
-    verdict: Int[Array, ""]
-    verdict_reaching: Int[Array, ""]
-    verdict_tracking: Int[Array, ""]
-    outcome: Int[Array, ""]
-    end_time: Float[Array, ""]
-    peak_ratio: Float[Array, ""]
-    margin: Float[Array, ""]
-    peak_time: Float[Array, ""]
-    peak_u: Float[Array, ""]
-    peak_u_bound: Float[Array, ""]
-    reach_time: Float[Array, ""]
-    violation_time: Float[Array, ""]
-    settle_time: Float[Array, ""]
-    peak_errors: tuple[Float[Array, ""], ...]
-    rms_error: Float[Array, ""]
-    energy_u: Float[Array, ""]
-    total_variation_u: Float[Array, ""]
-    least_gain: Float[Array, ""]
-    largest_disturbance: Float[Array, ""]
-    steps: Int[Array, ""]
-    sampled: SampledFigures | None = None
-
-    def named(self) -> dict[str, Any]:
-        """Every figure by its name, those of `sampled` among them."""
-        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        sampled = own.pop("sampled")
-        return own if sampled is None else {**own, **vars(sampled)}
-
-    def columns(self) -> dict[str, Any]:
-        """Every figure by the name of its column: `peak_error[i]` is that of the i-th derivative of the error."""
-        named = self.named()
-        peaks = named.pop("peak_errors")
-        return {**named, **{f"peak_error[{i}]": peak for i, peak in enumerate(peaks)}}
 
 
 class Ending(AbstractModule):
@@ -175,6 +72,9 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
         least_gain=tally.least_gain,
         largest_disturbance=tally.largest_disturbance,
         steps=ending.steps,
+        own=read_states(
+            problem.metrics, tally.own, IdealStep(no_step(ending.run.y), problem), ending.horizon, is_complete
+        ),
     )
 
 

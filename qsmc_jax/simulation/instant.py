@@ -7,6 +7,7 @@ from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.implementation.swing import Swing
 from qsmc_jax.loop import Terms
+from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.simulation.tally import Problem
 
 
@@ -107,3 +108,43 @@ class Cell(AbstractModule):
         m0 = (sigma.m0 - h * z0 * left.rho_rate) / left.rho
         m1 = (sigma.m1 - h * z1 * right.rho_rate) / right.rho
         return Cubic(z0, z1, m0, m1)
+
+
+class CellStep(AbstractStep):
+    """A cell as metrics see it: the state by the cubic through its ends, the input by a parabola."""
+
+    data: Cell
+    problem: Problem
+
+    @property
+    def t0(self) -> RealScalarLike:
+        return self.data.left.t
+
+    @property
+    def t1(self) -> RealScalarLike:
+        return self.data.right.t
+
+    def at(self, theta: RealScalarLike) -> Signals:
+        cell, loop = self.data, self.problem.loop
+        left, right, h = cell.left, cell.right, cell.length
+        rates = (loop.rates(left.terms, left.x, cell.u0), loop.rates(right.terms, right.x, cell.u1))
+        ends = zip(left.x, right.x, *rates, strict=True)
+        x = tuple(Cubic(x0, x1, h * m0, h * m1)(theta) for x0, x1, m0, m1 in ends)
+        bend = 2.0 * (cell.u0 - 2.0 * cell.middle + cell.u1)
+        u = cell.u0 + theta * (cell.u1 - cell.u0 + (theta - 1.0) * bend)
+        return sampled_signals(self.problem, at_instant(self.problem, left.t + theta * h, x), u)
+
+
+def sampled_signals(problem: Problem, now: Instant, u: RealScalarLike) -> Signals:
+    """All signals of a loop with an implementation at one instant, under the input u."""
+    desired = problem.loop.desired(now.t)[:-1]
+    part, terms = now.sigma / now.rho, now.terms
+    return Signals(
+        now.t, now.x, desired, now.errors, now.sigma, now.rho, part, u, terms.disturbance, now.residual, terms.gain
+    )
+
+
+def no_cell(start: Instant) -> Cell:
+    """A cell of no length, without input."""
+    zero = jnp.zeros(())
+    return Cell(start, start, zero, zero, zero, Swing(zero, zero, zero))

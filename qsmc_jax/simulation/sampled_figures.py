@@ -4,14 +4,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.simulation.figures import (
-    Figures,
-    SampledFigures,
-    first_to_apply,
-    is_since,
-    last_outside,
-    later_verdicts,
-)
+from qsmc_jax.metrics.accumulate import read_states
+from qsmc_jax.metrics.standard import Figures, SampledFigures
+from qsmc_jax.simulation.figures import first_to_apply, is_since, last_outside, later_verdicts
+from qsmc_jax.simulation.instant import CellStep, no_cell
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.sampled_loop import Course
 from qsmc_jax.simulation.tally import Problem, Span
@@ -70,6 +66,7 @@ def read_sampled_figures(
             high_frequency_ratio=known_steady(_ratio(cells.filter.high_power, cells.filter.power)),
             peak_rate_u=known_steady(course.commands.peak_rate),
         ),
+        own=read_states(problem.metrics, cells.own, CellStep(no_cell(course.now), problem), horizon, is_complete),
     )
 
 

@@ -193,7 +193,7 @@ def _plan(problem: Problem, implementation: Implementation, horizon: RealScalarL
     loop, funnel = problem.loop, problem.loop.control.funnel
     # A cell ends just before a jump, and the next one, of no length, takes it.
     judged_from = jnp.stack([jnp.asarray(problem.reaching_time), jnp.asarray(problem.settling_time)])
-    breaks = jnp.concatenate([loop.break_times, judged_from])
+    breaks = jnp.concatenate([problem.break_times, judged_from])
     fixed = jax.lax.stop_gradient(breaks)
     just_before = jnp.where(jnp.isfinite(fixed), jnp.nextafter(fixed, -jnp.inf) - fixed, 0.0)
     breaks = jnp.concatenate([breaks + just_before, breaks])

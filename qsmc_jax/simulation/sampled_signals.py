@@ -9,14 +9,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_finite, show
-from qsmc_jax.base.gudermann import ratio, sinh_cosh
 from qsmc_jax.base.module import as_float64
+from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics import signals as metrics
+from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.simulation.engine import pose, solve
-from qsmc_jax.simulation.figures import Figures, is_refused
+from qsmc_jax.simulation.figures import is_refused
+from qsmc_jax.simulation.instant import at_instant, sampled_signals
 from qsmc_jax.simulation.settings import INSTANT, SolverSettings
-from qsmc_jax.simulation.tally import Problem
+from qsmc_jax.simulation.tally import Problem, ideal_signals
 
 _DEFAULT_TIMES = 2001
 
@@ -51,6 +55,7 @@ def solve_along(
     settings: SolverSettings,
     is_drawn_well: BoolScalarLike = True,
     made_of: Hashable = (),
+    own: tuple[AbstractMetric, ...] = (),
 ) -> Course:
     """Solves one run and reads its signals at the times; pure, to be compiled.
 
@@ -63,9 +68,10 @@ def solve_along(
         settings: Method and tolerances.
         is_drawn_well: Whether what was drawn for the run had arguments in range.
         made_of: As for `pose`.
+        own: Metrics of the study.
     """
     start, ts = tuple(x0[i] for i in range(loop.order)), jnp.asarray(ts)
-    problem = pose(loop, start, bandwidth, settings, made_of)
+    problem = pose(loop, start, bandwidth, settings, made_of, own)
     figures, saved = solve(problem, start, t1, settings, jnp.minimum(ts, t1), is_drawn_well)
     read = _ideal if loop.implementation is None else _implemented
     signals = jax.vmap(lambda t, y: read(problem, t, y))(ts, saved)
@@ -76,6 +82,15 @@ def solve_along(
     bounds = jnp.stack([jnp.asarray(bound) for bound in problem.error_bounds])
     told = signals._replace(x=x, e=e, sigma=sigma, u=u)
     return Course(figures, told, bounds, jnp.asarray(problem.settling_time))
+
+
+@entry_point
+def signals_at_start(loop: ClosedLoop, x0: Float[np.ndarray, " n"]) -> metrics.Signals:
+    """The signals at time 0 without input, as metrics see them."""
+    e, desired, rho = loop.errors(0.0, tuple(x0)), loop.desired(0.0), loop.control.funnel(0.0)
+    balance, sigma = loop.balance(0.0, e, desired), jnp.asarray(loop.control.surface(e))
+    driven = balance.disturbance, balance.residual, balance.gain
+    return metrics.Signals(np.zeros(()), tuple(x0), desired[:-1], e, sigma, rho, sigma / rho, np.zeros(()), *driven)
 
 
 def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:
@@ -98,18 +113,15 @@ def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:
 
 
 def _ideal(problem: Problem, t: Array, y: tuple[Array, ...]) -> Signals:
-    """All signals at one instant; sigma and u from the funnel coordinate."""
-    loop = problem.loop
-    x, desired, rho = problem.coordinates.state(loop, t, y), loop.desired(t)[:-1], loop.control.funnel(t)
-    s = problem.coordinates.funnel_coordinate(loop, t, y)
-    e = [xi - di for xi, di in zip(x, desired, strict=True)]
-    u, d = -loop.control.gain_sign * sinh_cosh(s)[0], jnp.asarray(loop.disturbance(t))
-    return Signals(jnp.stack(x), jnp.stack(desired), jnp.stack(e), rho * ratio(s), rho, u, d)
+    return _stacked(ideal_signals(problem, t, y))
 
 
 def _implemented(problem: Problem, t: Array, saved: tuple[Array, ...]) -> Signals:
-    """The same of a loop with an implementation, from its state and input."""
-    loop, (*x, u) = problem.loop, saved
-    desired, e = loop.desired(t)[:-1], loop.errors(t, x)
-    sigma, rho, d = jnp.asarray(loop.control.surface(e)), loop.control.funnel(t), jnp.asarray(loop.disturbance(t))
-    return Signals(jnp.stack(x), jnp.stack(desired), jnp.stack(e), sigma, rho, u, d)
+    *x, u = saved
+    return _stacked(sampled_signals(problem, at_instant(problem, t, tuple(x)), u))
+
+
+def _stacked(now: metrics.Signals) -> Signals:
+    """The signals at one instant, those with a number for each derivative as arrays."""
+    x, desired, e = (jnp.stack([jnp.asarray(each) for each in signal]) for signal in (now.x, now.desired, now.e))
+    return Signals(x, desired, e, now.sigma, now.rho, now.u, jnp.asarray(now.d))

@@ -9,7 +9,9 @@ from qsmc_jax.base import trees
 from qsmc_jax.base.hermite import Cubic, integral_of_square
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
-from qsmc_jax.simulation.instant import Cell, Instant
+from qsmc_jax.metrics.accumulate import States, first_states
+from qsmc_jax.metrics.accumulate import add_step as add_own
+from qsmc_jax.simulation.instant import Cell, CellStep, Instant, no_cell
 from qsmc_jax.simulation.tally import OutsideStep, Problem, Span
 
 # A reversal of the command counts if it is more than this part of the range of the commands so far.
@@ -84,6 +86,7 @@ class CellTally(AbstractModule):
     filter: Filter
     least_gain: RealScalarLike
     largest_disturbance: RealScalarLike
+    own: States
 
 
 def first_cell_tally(problem: Problem, start: Instant) -> CellTally:
@@ -109,6 +112,7 @@ def first_cell_tally(problem: Problem, start: Instant) -> CellTally:
         filter=Filter(zero, zero, zero, zero),
         least_gain=jnp.asarray(problem.loop.control.gain_sign * start.terms.gain),
         largest_disturbance=jnp.abs(jnp.asarray(start.terms.disturbance)),
+        own=first_states(problem.metrics, CellStep(no_cell(start), problem)),
     )
 
 
@@ -154,6 +158,7 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         filter=_filtered(tally.filter, cell, cutoff, is_steady),
         least_gain=jnp.minimum(tally.least_gain, gain),
         largest_disturbance=jnp.maximum(tally.largest_disturbance, jnp.abs(cell.right.terms.disturbance)),
+        own=add_own(problem.metrics, tally.own, CellStep(cell, problem)),
     )
 
 

@@ -6,20 +6,25 @@ grid, and they ride along in the integrated state, with no say in the step size,
 
 import functools as ft
 import itertools as it
+import math
 from collections.abc import Hashable
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.fence import Fence
-from qsmc_jax.base.gudermann import sinh_cosh
+from qsmc_jax.base.gudermann import ratio, sinh_cosh
 from qsmc_jax.base.hermite import Cubic, Quartic, integral_of_square
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.accumulate import States, first_states
+from qsmc_jax.metrics.accumulate import add_step as add_own
+from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.simulation.coordinates import AbstractCoordinates
 
 # Gauss-Lobatto rule with four nodes on [0, 1], exact for polynomials of degree 5: the ends and 1/2 -+ 1/(2 sqrt 5).
@@ -39,6 +44,7 @@ class Problem(AbstractModule):
         settling_time: t_s [s], from which on the funnel guarantees that the errors keep their bounds; `inf` if never.
         fence: Around what is used more than once.
         made_of: What its functions read from outside, in so far as it is known; programs are kept by it too.
+        metrics: Those of the study.
     """
 
     loop: ClosedLoop
@@ -49,6 +55,13 @@ class Problem(AbstractModule):
     settling_time: RealScalarLike
     fence: Fence
     made_of: Hashable = eqx.field(static=True, default=())
+    metrics: tuple[AbstractMetric, ...] = eqx.field(static=True, default=())
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        """Times [s] that steps must not cross: where the loop jumps, and where windows of metrics begin and end."""
+        ends = {end for metric in self.metrics for end in (metric.after, metric.before)} - {0.0, math.inf}
+        return jnp.concatenate([self.loop.break_times, jnp.array(sorted(ends))]) if ends else self.loop.break_times
 
 
 class Peak(AbstractModule):
@@ -93,6 +106,7 @@ class Tally(AbstractModule):
     gain: RealScalarLike
     least_gain: RealScalarLike
     largest_disturbance: RealScalarLike
+    own: States
 
 
 class Step(AbstractModule):
@@ -145,6 +159,7 @@ def first_tally(problem: Problem, y0: Scalars) -> Tally:
         gain=gain,
         least_gain=gain,
         largest_disturbance=jnp.asarray(jnp.abs(loop.disturbance(zero))),
+        own=first_states(problem.metrics, IdealStep(no_step(y0), problem)),
     )
 
 
@@ -178,7 +193,47 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
         gain=jnp.asarray(gain),
         least_gain=jnp.minimum(tally.least_gain, gain),
         largest_disturbance=jnp.maximum(tally.largest_disturbance, disturbance),
+        own=add_own(problem.metrics, tally.own, IdealStep(step, problem)),
     )
+
+
+class IdealStep(AbstractStep):
+    """A step of the ideal loop as metrics see it."""
+
+    data: Step
+    problem: Problem
+
+    @property
+    def t0(self) -> RealScalarLike:
+        return self.data.t0
+
+    @property
+    def t1(self) -> RealScalarLike:
+        return self.data.t1
+
+    def at(self, theta: RealScalarLike) -> Signals:
+        step, h = self.data, self.data.t1 - self.data.t0
+        ends = zip(step.y0, step.y1, step.dy0, step.dy1, step.middle, strict=True)
+        y = tuple(Quartic(Cubic(y0, y1, h * m0, h * m1), middle)(theta) for y0, y1, m0, m1, middle in ends)
+        return ideal_signals(self.problem, step.t0 + theta * h, y)
+
+
+def ideal_signals(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
+    """All signals of the ideal loop at one instant; sigma and u from the funnel coordinate."""
+    loop, coordinates = problem.loop, problem.coordinates
+    x, desired, rho = coordinates.state(loop, t, y), loop.desired(t), loop.control.funnel(t)
+    s = coordinates.funnel_coordinate(loop, t, y)
+    e = tuple(xi - di for xi, di in zip(x, desired, strict=False))
+    balance, u = loop.balance(t, e, desired), -loop.control.gain_sign * sinh_cosh(s)[0]
+    part, (d, w, g) = ratio(s), (balance.disturbance, balance.residual, balance.gain)
+    return Signals(t, x, desired[:-1], e, rho * part, rho, part, u, d, w, g)
+
+
+def no_step(y: Scalars) -> Step:
+    """A step of no length at the start."""
+    zero, rest = jnp.zeros(()), (jnp.zeros(()),) * len(y)
+    y = _scalars(y)
+    return Step(zero, zero, y, y, rest, rest, y, rest)
 
 
 def _peak(problem: Problem, step: Step, s: Cubic) -> Peak:

@@ -13,10 +13,11 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.state_jumps import require_no_state_jumps
 from qsmc_jax.simulation.contents import brought
-from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.finite import require_finite_functions
 from qsmc_jax.simulation.outcome import Outcome, Verdict
 from qsmc_jax.simulation.probed import said_of_probed
@@ -43,6 +44,7 @@ class Trajectory(AbstractModule):
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         error_bounds: What |sigma| < bandwidth implies for each error in the end.
         settling_time: t_s [s], from which on the funnel guarantees that the errors keep these bounds.
+        metrics: The metrics of its study, whose values are in `figures.own`.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -64,6 +66,7 @@ class Trajectory(AbstractModule):
     bandwidth: RealScalarLike
     error_bounds: Float[Array | np.ndarray, " n"]
     settling_time: RealScalarLike
+    metrics: tuple[AbstractMetric, ...] = eqx.field(static=True, default=())
 
     @property
     def outcome(self) -> Outcome:
@@ -157,6 +160,7 @@ class Trajectory(AbstractModule):
                 f"  |e^(i)| within their bounds for good after {float(f.settle_time):.6g} s "
                 f"(t_s = {float(self.settling_time):.6g} s)",
                 *_sampled_lines(f),
+                *(f"  {m.name} {float(f.own[m.name]):.6g} {m.unit}".rstrip() for m in self.metrics if m.name in f.own),
                 told,
                 *([f"  {probed}"] if (probed := said_of_probed(self.loop)) else []),
             )
@@ -243,10 +247,14 @@ def simulate_drawn(
 
 
 def trajectory(
-    loop: ClosedLoop, bandwidth: RealScalarLike, ts: Float[Array | np.ndarray, " times"], course: Course
+    loop: ClosedLoop,
+    bandwidth: RealScalarLike,
+    ts: Float[Array | np.ndarray, " times"],
+    course: Course,
+    metrics: tuple[AbstractMetric, ...] = (),
 ) -> Trajectory:
     """What a user sees of a course: with the loop that was solved."""
-    told = course.figures, loop, bandwidth, course.error_bounds, course.settling_time
+    told = course.figures, loop, bandwidth, course.error_bounds, course.settling_time, metrics
     return Trajectory(ts, *course.signals, *told)
 
 

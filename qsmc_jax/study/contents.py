@@ -11,20 +11,27 @@ import numpy as np
 from qsmc_jax.base.digest import digest
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import in_64_bits
+from qsmc_jax.metrics.check import program_of
+from qsmc_jax.metrics.metric import AbstractMetric
 from qsmc_jax.simulation.contents import Contents, functions_of
 from qsmc_jax.study.draw import PointDraw, dimension
 
 
-def contents(scenario: Callable[[Any], Any]) -> Contents:
+def contents(scenario: Callable[[Any], Any], metrics: tuple[AbstractMetric, ...] = ()) -> Contents:
     """A hash of the program of each part of a scenario, and of the numbers in it, wherever they come from.
 
     Args:
         scenario: The scenario. Two with the same contents give the same rows.
+        metrics: Metrics of the study, each of which is a part.
     """
     draw = PointDraw()
     with in_64_bits():
         nominal = scenario(draw)
-    return (("scenario", _scenario(scenario, dimension(draw.specs))), *functions_of(nominal.loop))
+    own = (
+        (f"metric `{metric.name}`", digest(program_of(metric, nominal.loop.order), metric.after, metric.before))
+        for metric in metrics
+    )
+    return (("scenario", _scenario(scenario, dimension(draw.specs))), *functions_of(nominal.loop), *own)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,10 +41,12 @@ class Made:
     Attributes:
         scenario: The scenario.
         contents: Its contents when its study was made.
+        metrics: Metrics of the study.
     """
 
     scenario: Callable[[Any], Any]
     contents: Contents
+    metrics: tuple[AbstractMetric, ...] = ()
 
     def __call__(self, draw: Any) -> Any:
         """What the scenario returns."""
@@ -49,7 +58,9 @@ class Made:
         Raises:
             InputError: It has changed: programs that are compiled from now on would be of another loop.
         """
-        changed = [part for part, hashed in contents(self.scenario) if (part, hashed) not in self.contents]
+        changed = [
+            part for part, hashed in contents(self.scenario, self.metrics) if (part, hashed) not in self.contents
+        ]
         if changed:
             raise InputError(
                 f"Argument `scenario` must compute the same in every call, but its {changed[-1]} has changed since the "

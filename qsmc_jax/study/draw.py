@@ -18,16 +18,18 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import is_traced, nearest, require, require_finite, require_positive, require_shape, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import as_float64
+from qsmc_jax.base.names import require_name
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.simulation.figures import Figures, SampledFigures
+from qsmc_jax.metrics.standard import catalogue
 from qsmc_jax.study import quantiles
 
 # Standard deviations from the mean to an interval, beyond which the probability of the interval underflows.
 _REACH = 37.0
-# Signs that have a meaning in the name of a column, or where a name is given a value on the command line.
-_SIGNS = "=,[]{}()\"'`"
+
+# The columns that every table of runs has.
+TABLE_COLUMNS = frozenset({"index", "rung", *catalogue()})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -368,26 +370,9 @@ def _require_coordinates(name: str, point: Any, needed: int) -> None:
 
 def _require_new_name(name: Any, taken: Mapping[str, Any]) -> None:
     """Raises unless `name` is a string that was not drawn before, and can name a column and stand on a command line."""
-    require(
-        isinstance(name, str) and name != "", f"Argument `name` must be a string that is not empty, but is {name!r}."
-    )
+    require_name(name)
     require(name not in taken, f"Argument `name` must be new in the scenario, but is `{name}` a second time.")
-    odd = [sign for sign in name if sign in _SIGNS or not sign.isprintable()]
-    is_padded = name != name.strip() or name[0] in "@-"
     require(
-        not odd and not is_padded,
-        f"Argument `name` must have no {odd[0]!r} in it, but is {name!r}. Choose letters, digits and underscores."
-        if odd
-        else f"Argument `name` must not begin with '@' or '-', nor begin or end with a space, but is {name!r}.",
-    )
-    require(
-        name not in _columns(),
+        name not in TABLE_COLUMNS,
         f"Argument `name` must not be that of a column which every table has, but is `{name}`. Choose another.",
     )
-
-
-@ft.cache
-def _columns() -> frozenset[str]:
-    """The columns of a table of runs besides those of the drawn names."""
-    figures = (field.name for kind in (Figures, SampledFigures) for field in dataclasses.fields(kind))
-    return frozenset({"index", "rung", "peak_error", *figures})

@@ -13,7 +13,7 @@ from qsmc_jax.base.checks import require, require_count, require_kind
 from qsmc_jax.base.compiled import traced
 from qsmc_jax.base.platforms import platform
 from qsmc_jax.base.precision import in_64_bits
-from qsmc_jax.simulation.figures import Figures
+from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import method_for
 from qsmc_jax.study.contents import Made

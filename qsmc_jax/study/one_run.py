@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.precision import entry_point
+from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.simulation.engine import pose, solve
-from qsmc_jax.simulation.figures import Figures
 from qsmc_jax.simulation.sampled_signals import Course, solve_along
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import stiffness
@@ -31,7 +31,7 @@ def run(
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    problem = pose(made.loop, x0, bandwidth, settings, scenario.contents)
+    problem = pose(made.loop, x0, bandwidth, settings, scenario.contents, scenario.metrics)
     figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
 
@@ -47,9 +47,8 @@ def run_along(
     """The values of a run's names, its figures and its signals at the times."""
     draw = PointDraw(point, values)
     made = scenario(draw)
-    course = solve_along(
-        made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, draw.is_valid, scenario.contents
-    )
+    known = draw.is_valid, scenario.contents, scenario.metrics
+    course = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, *known)
     return {name: jnp.asarray(value) for name, value in draw.record.items()}, course
 
 

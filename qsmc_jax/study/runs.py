@@ -10,6 +10,7 @@ from qsmc_jax.base.checks import nearest
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.metrics.standard import record_of
 from qsmc_jax.simulation.outcome import Verdict
 
 # Rows that a notebook shows.
@@ -128,8 +129,9 @@ class Runs:
         return as_frame(self.columns, "index")
 
     def to_xarray(self) -> Any:
-        """The table as an `xarray.Dataset` over the dimension `run`; needs the extra `notebook`."""
-        variables = {name: ("run", values) for name, values in self.columns.items() if name != "index"}
+        """The table as an `xarray.Dataset` over the dimension `run`, with units; needs the extra `notebook`."""
+        units = {name: {"units": unit} if (unit := record_of(name).unit) else {} for name in self.columns}
+        variables = {name: ("run", each, units[name]) for name, each in self.columns.items() if name != "index"}
         return as_dataset(variables, {"run": self["index"]}, {})
 
     def _repr_html_(self) -> str:

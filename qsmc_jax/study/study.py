@@ -2,24 +2,27 @@
 
 import dataclasses
 import functools as ft
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind
+from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind, require_list
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import Draw
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.simulation.sampled_signals import grid_of
+from qsmc_jax.metrics.check import check_metrics, record_in
+from qsmc_jax.metrics.record import Record
+from qsmc_jax.metrics.standard import record_of
+from qsmc_jax.simulation.sampled_signals import grid_of, signals_at_start
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
 from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn, trajectory
 from qsmc_jax.study.contents import Contents, Made, contents
-from qsmc_jax.study.draw import DrawSpec, PointDraw, check_values, dimension, discover
+from qsmc_jax.study.draw import TABLE_COLUMNS, DrawSpec, PointDraw, check_values, dimension, discover
 from qsmc_jax.study.one_run import program, run_along, stiffness_at
 from qsmc_jax.study.sampling import AbstractSampling, Random
 
@@ -65,6 +68,7 @@ class Study:
         scenario: A function `scenario(draw) -> Scenario`, pure and traceable by JAX.
         bandwidth: Bandwidth epsilon, rho_inf < epsilon < rho0 (C2), in units of the sliding variable.
         values: Numbers substituted for names, by name; see `substitute`.
+        metrics: Metrics of one's own, see `qj.metrics`: each is a column of every table of its runs.
         specs: What is known of each name; found by calling the scenario.
         nominal: The scenario with every distribution at its median.
         contents: Hashes of what it computes, by part, with all that it reads from outside.
@@ -88,6 +92,7 @@ class Study:
     scenario: Callable[[Draw], Scenario]
     bandwidth: float
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    metrics: Sequence[Any] = ()
     specs: tuple[DrawSpec, ...] = dataclasses.field(init=False)
     nominal: Scenario = dataclasses.field(init=False)
     contents: Contents = dataclasses.field(init=False)
@@ -102,8 +107,13 @@ class Study:
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
         require_finite("bandwidth", self.bandwidth)
         object.__setattr__(self, "specs", discover(ft.partial(_scenario_of, self.scenario))[0])
-        object.__setattr__(self, "contents", contents(self.scenario))
+        require_list("metrics", self.metrics)
+        object.__setattr__(self, "metrics", tuple(self.metrics))
         self._take(self.values)
+        start = signals_at_start(self.nominal.loop, self.nominal.x0)
+        columns = [column for spec in self.specs for column in spec.columns]
+        check_metrics(self.metrics, start, float(self.nominal.t1), [*TABLE_COLUMNS, *columns])
+        object.__setattr__(self, "contents", contents(self.scenario, tuple(self.metrics)))
 
     def _take(self, values: Mapping[str, Any]) -> None:
         """Checks the values and what the scenario makes of them, and keeps both."""
@@ -124,7 +134,21 @@ class Study:
     @property
     def made(self) -> Made:
         """The scenario with its contents: what its programs are known by."""
-        return Made(self.scenario, self.contents)
+        return Made(self.scenario, self.contents, tuple(self.metrics))
+
+    @property
+    def records(self) -> dict[str, Record]:
+        """What is known of the columns that this study alone has, by their names."""
+        drawn = {column: Record(column, f"Drawn by the study: {s.kind}") for s in self.specs for column in s.columns}
+        return {**drawn, **{metric.name: record_in(metric, self.nominal.loop.order) for metric in self.metrics}}
+
+    def record_of(self, column: str) -> Record:
+        """What is known of a column of its tables: unit, meaning, label of an axis.
+
+        Args:
+            column: The column.
+        """
+        return self.records.get(column) or record_of(column)
 
     @property
     def dimension(self) -> int:
@@ -154,7 +178,7 @@ class Study:
             InputError: A name does not exist (the nearest is suggested), or a value lies outside its bounds.
         """
         made = object.__new__(Study)
-        for name in ("scenario", "bandwidth", "specs", "contents"):
+        for name in ("scenario", "bandwidth", "specs", "metrics", "contents"):
             object.__setattr__(made, name, getattr(self, name))
         made._take({**self.values, **values})
         return made
@@ -211,7 +235,7 @@ class Study:
             settings = settings.replace(method=method_for(own, self.stiffness, settings.method))
         ts, bandwidth = grid_of(ts, made.t1), as_float64(self.bandwidth)
         _, course = program(run_along, self.made)(settings, bandwidth, ts, self.numbers, point)
-        return trajectory(made.loop, bandwidth, ts, course)
+        return trajectory(made.loop, bandwidth, ts, course, tuple(self.metrics))
 
     def _stiffness_at(self, point: np.ndarray) -> Any:
         return program(stiffness_at, self.made)(self.numbers, point)

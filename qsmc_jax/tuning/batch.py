@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from jaxtyping import Float
 
+from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import LANE_MULTIPLE, block_size, thread_count
@@ -16,6 +17,7 @@ from qsmc_jax.study.tangents import differentiate
 from qsmc_jax.tuning.box import Box
 from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.rows import LOSS, NEEDED, counted, is_unknown, mean_loss, slopes
+from qsmc_jax.tuning.terms import METRICS, known_to
 
 # A constraint counts as kept up to this part of its bound.
 KEPT = 1e-6
@@ -115,6 +117,16 @@ class Batch:
     inside: float = 0.0
     spent: int = 0
     history: list[Evaluation] = dataclasses.field(default_factory=list)
+
+    def __post_init__(self):
+        nominal, records = self.study.nominal.loop, self.study.records
+        for metric in self.metrics:
+            named, record = f"Argument `objective` names `{metric}`", self.study.record_of(metric)
+            known = {*METRICS, *records, *(f"peak_error[{i}]" for i in range(nominal.order))}
+            require(metric in known, f"{named}, but must name {known_to(self.study)}.{nearest(metric, known)}")
+            is_sampled = nominal.implementation is not None or record.loops != "sampled"
+            require(is_sampled, f"{named}, which only a loop with an `implementation` has.")
+            require(record.has_gradient, f"{named}, which has no derivative by the gains.")
 
     @property
     def metrics(self) -> tuple[str, ...]:

@@ -1,32 +1,33 @@
 """A statistic of one column over runs, weighted: what objectives are sums of."""
 
 import dataclasses
+import re
 from collections.abc import Callable
 from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.base.checks import nearest, require
-from qsmc_jax.base.errors import InputError
+from qsmc_jax.base.checks import require
+from qsmc_jax.metrics.standard import catalogue
+from qsmc_jax.study.study import Study
 
 Statistic: TypeAlias = Literal["mean", "cvar", "worst", "least"]
 
 # Columns with a derivative by the gains. Times and counts to the step, such as `settle_time`, have none.
-METRICS = (
-    "peak_ratio",
-    "margin",
-    "peak_u",
-    "reach_time",
-    "rms_error",
-    "energy_u",
-    "total_variation_u",
-    "recovery_time",
-    "peak_excess",
-    "excess_variation_u",
-    "high_frequency_ratio",
-    "peak_rate_u",
-)
+METRICS = tuple(name for name, record in catalogue().items() if record.has_gradient and name != "peak_error")
+_NO_METRICS = set(catalogue()) - set(METRICS)
+_NAME = re.compile(r"peak_error\[\d+\]|[^()\[\]]+")
+
+
+def known_to(study: Study | None = None) -> str:
+    """The columns that objectives can be made of, in words.
+
+    Args:
+        study: With those of this study.
+    """
+    own = () if study is None else (name for name, record in study.records.items() if record.has_gradient)
+    return f"peak_error[i] or one of {', '.join((*METRICS, *own))}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,11 +52,9 @@ class Term:
     level: float = 0.0
 
     def __post_init__(self):
-        is_known = self.metric in METRICS or self.metric.startswith("peak_error[")
-        if not is_known:
-            known = f"peak_error[i] or one of {', '.join(METRICS)}"
-            hint = nearest(self.metric, METRICS)
-            raise InputError(f"Argument `metric` must be {known}, but is `{self.metric}`.{hint}")
+        # A study may have metrics of its own, by names that are known to it.
+        is_refused = self.metric in _NO_METRICS or not _NAME.fullmatch(self.metric)
+        require(not is_refused, f"Argument `metric` must be {known_to()}, but is `{self.metric}`.")
         require(bool(0.0 <= self.level < 1.0), f"Argument `level` must lie in [0, 1), but is {self.level}.")
         require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
 

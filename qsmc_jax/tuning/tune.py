@@ -121,7 +121,6 @@ def tune(
     refuse_jumps(study)
     settings = settings or SolverSettings(adjoint="forward")
     batch = Batch(study, box, objective, constraints, runs, seed, settings, block, threads, 0, tell)
-    _check_metrics(batch)
     before = check_start(batch, box.point(study))
     batch.allowed = before.inadmissible
     best, chosen, certificates = _designed(batch, search, claim, progress)
@@ -277,22 +276,6 @@ def _infeasible(batch: Batch, nearest: Evaluation) -> str:
         f"No gains within the bounds were found that keep the constraints: the nearest, {gains}, {reason}. Loosen it, "
         "widen the bounds, or allow more `starts`."
     )
-
-
-def _check_metrics(batch: Batch) -> None:
-    """Raises if the study has no column of that name."""
-    order, is_sampled = batch.study.nominal.loop.order, batch.study.nominal.loop.implementation is not None
-    known = {f"peak_error[{i}]" for i in range(order)}
-    sampled = {"recovery_time", "peak_excess", "excess_variation_u", "high_frequency_ratio", "peak_rate_u"}
-    for metric in batch.metrics:
-        require(
-            not metric.startswith("peak_error") or metric in known,
-            f"Argument `objective` names `{metric}`, but this plant has {', '.join(sorted(known))}.",
-        )
-        require(
-            is_sampled or metric not in sampled,
-            f"Argument `objective` names `{metric}`, which only a loop with an `implementation` has.",
-        )
 
 
 def _sensitivity(batch: Batch, best: Evaluation) -> np.ndarray:

@@ -9,6 +9,8 @@ import numpy as np
 from qsmc_jax.base.checks import require, require_count, require_fraction, require_kind
 from qsmc_jax.base.notebook import as_html
 from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.metrics.record import Record
+from qsmc_jax.metrics.standard import catalogue, record_of
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import Progress
@@ -19,17 +21,7 @@ from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.simultaneous import each_of, median_interval
 from qsmc_jax.verification.statistics import clopper_pearson
 
-METRICS = (
-    "peak_ratio",
-    "peak_u",
-    "energy_u",
-    "total_variation_u",
-    "rms_error",
-    "excess_variation_u",
-    "reversal_rate",
-    "high_frequency_ratio",
-    "peak_rate_u",
-)
+METRICS = tuple(name for name, record in catalogue().items() if record.is_compared)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,6 +90,7 @@ class Comparison:
         seed: Their seed.
         confidence: That all intervals hold together.
         intervals: How many there are.
+        records: What is known of each of the metrics, such as its unit.
 
     Examples:
         >>> import equinox as eqx
@@ -121,6 +114,7 @@ class Comparison:
     seed: int
     confidence: float
     intervals: int
+    records: Mapping[str, Record] = dataclasses.field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Compared:
         found = {study.name: study for study in self.studies}
@@ -239,10 +233,12 @@ def compare(
     require_fraction("confidence", confidence)
     _require_same_names(studies)
     settings, tables = settings or SolverSettings(), {}
+    own = dict.fromkeys(metric.name for study in studies.values() for metric in study.metrics)
+    wanted = (*METRICS, *own) if metrics is None else tuple(metrics)
     for number, (name, study) in enumerate(studies.items()):
         told = part_of(progress, number * runs, runs * len(studies))
         rows = decide(study, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
-        tables[name] = _kept(concatenate(list(rows)), metrics)
+        tables[name] = _kept(concatenate(list(rows)), wanted, is_asked=metrics is not None)
     first = next(iter(tables.values()))
     pairs = {name: {} if table is first else _ratios(table, first) for name, table in tables.items()}
     known = {
@@ -252,12 +248,19 @@ def compare(
     each = each_of(intervals, confidence)
     return Comparison(
         studies=tuple(_compared(name, tables[name], known[name], pairs[name], each) for name in studies),
-        metrics=tuple(m for m in metrics or METRICS if any(m in table.columns for table in tables.values())),
+        metrics=tuple(m for m in wanted if any(m in table.columns for table in tables.values())),
         runs=runs,
         seed=seed,
         confidence=confidence,
         intervals=intervals,
+        records=_records(studies, wanted),
     )
+
+
+def _records(studies: Mapping[str, Study], metrics: Sequence[str]) -> dict[str, Record]:
+    """What the first study that knows a metric says of it."""
+    own = {name: record for study in reversed(list(studies.values())) for name, record in study.records.items()}
+    return {metric: own.get(metric) or record_of(metric) for metric in metrics}
 
 
 def _require_same_names(studies: Mapping[str, Study]) -> None:
@@ -280,10 +283,9 @@ def _listed(drawn: tuple[tuple[str, tuple[int, ...]], ...]) -> str:
     return ", ".join(f"{name}{list(shape) if shape else ''}" for name, shape in drawn) or "nothing"
 
 
-def _kept(table: Runs, metrics: Sequence[str] | None) -> Runs:
-    """The columns that are compared, in the order of the indices."""
-    wanted = METRICS if metrics is None else metrics
-    columns = {m: table[m].astype(np.float64) for m in wanted if metrics is not None or m in table.columns}
+def _kept(table: Runs, wanted: Sequence[str], *, is_asked: bool) -> Runs:
+    """The columns that are compared, in the order of the indices; of those asked for all must be there."""
+    columns = {m: table[m].astype(np.float64) for m in wanted if is_asked or m in table.columns}
     return Runs({"index": table["index"], "verdict": table["verdict"], **columns}, ()).take(np.argsort(table["index"]))
 
 

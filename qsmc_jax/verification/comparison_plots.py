@@ -12,17 +12,6 @@ if TYPE_CHECKING:
 _COLUMNS = 3
 # Medians that differ by less are drawn on a linear axis, which is easier to read.
 _WIDE = 50.0  # so many times from the least to the largest: logarithmic
-_LABELS = {
-    "peak_ratio": r"$\sup |\sigma|/\rho$ [-]",
-    "peak_u": r"$\sup |u|$",
-    "energy_u": r"$\int u^2$",
-    "total_variation_u": "total variation of u",
-    "rms_error": "RMS error",
-    "excess_variation_u": "excess variation of u",
-    "reversal_rate": "reversals of u [1/s]",
-    "high_frequency_ratio": "high-frequency part of u [-]",
-    "peak_rate_u": "largest rate of u",
-}
 
 
 def plot_comparison(result: "Comparison", ax: Any = None) -> Any:
@@ -73,7 +62,7 @@ def _median(ax: Any, result: "Comparison", metric: str) -> None:
         # A figure that may be negative, such as the excess variation, is linear around zero.
         ax.set_xscale("log") if ends.min() > 0.0 else ax.set_xscale("symlog", linthresh=_around_zero(ends))
         ax.xaxis.set_minor_formatter("")
-    ax.set(title=f"median: {_LABELS.get(metric, metric)}")
+    ax.set(title=f"median: {result.records[metric].axis}")
 
 
 def _around_zero(ends: np.ndarray) -> float:

@@ -54,7 +54,8 @@ class Evidence:
         """None yet; so many of the worst rows will be kept."""
         reaching_time = float(study.nominal.loop.control.funnel.reaching_time(study.bandwidth))
         self.study, self.runs, self.sample = study, 0, Sample()
-        self.summary = Summary(worst, longest_reach=2.0 * reaching_time or 1.0)
+        records = [study.record_of(metric.name) for metric in study.metrics]
+        self.summary = Summary(worst, 2.0 * reaching_time or 1.0, records)
 
     def add(self, table: Runs) -> None:
         """Takes a table of decided rows in."""
@@ -106,6 +107,7 @@ class Evidence:
             margin=summary.margin,
             reach=summary.reach,
             peak_u=summary.peak_u,
+            ranges=summary.ranges,
             steps=summary.steps,
             occupancy=effort.occupancy,
             solve_seconds=effort.seconds,

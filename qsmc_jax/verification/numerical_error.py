@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from qsmc_jax.metrics.standard import record_of
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 from qsmc_jax.verification.escalation import said
@@ -21,9 +22,6 @@ SAMPLE = 512
 
 # Columns that are no metric, besides the drawn names: what is compared as a verdict, and what belongs to the solve.
 _NO_METRICS = (*CLAIMS, "index", "rung", "outcome", "steps")
-
-# Metrics that jump where a run changes a little, say from one peak to another as high: much may mean nothing in them.
-JUMPING = ("peak_time", "reach_time", "violation_time", "settle_time", "recovery_time", "end_time", "reversal_rate")
 
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 
@@ -63,16 +61,16 @@ class NumericalError:
 
     @property
     def largest(self) -> tuple[str, ...]:
-        """Names of the metrics that changed, those by most first, those that jump last."""
+        """Names of the metrics that changed, those by most first, those that may jump last."""
         names = [name for name, change in self.metrics.items() if change.relative > 0.0]
-        return tuple(sorted(names, key=lambda name: (name in JUMPING, -self.metrics[name].relative)))
+        return tuple(sorted(names, key=lambda name: (record_of(name).may_jump, -self.metrics[name].relative)))
 
     def __str__(self) -> str:
         if not self.checked:
             return f"Numerical error not known: of {self.unchecked} runs solved again none came to a verdict."
         others = [name for name in self.largest if name != "peak_ratio"][:3]
         listed = "".join(f", {name} {100 * self.metrics[name].relative:.2g} %" for name in others)
-        jumps = " (jumps where a run is changed a little)" if any(name in JUMPING for name in others) else ""
+        jumps = " (jumps where a run is changed a little)" if any(record_of(name).may_jump for name in others) else ""
         unknown = f", {self.unchecked} could not be checked" if self.unchecked else ""
         return (
             f"Numerical error of sup |sigma|/rho: {self.peak_ratio:.2g}{listed}{jumps} ({self.checked} runs solved "

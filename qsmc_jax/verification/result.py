@@ -15,7 +15,7 @@ from qsmc_jax.verification.numerical_error import NumericalError
 from qsmc_jax.verification.result_plots import plot_margin, plot_verification
 from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.statistics import runs_needed
-from qsmc_jax.verification.summary import Histogram
+from qsmc_jax.verification.summary import Histogram, Range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,6 +84,7 @@ class Verification:
         is_anytime: Whether the intervals hold at all numbers of runs at once, as they must where one looked before
             stopping; else they are exact for this number.
         decision: What the stopping rule said; None without one, or if it said nothing.
+        ranges: What the study's own metrics were.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -113,6 +114,7 @@ class Verification:
     solve_seconds: float
     is_anytime: bool = False
     decision: str | None = None
+    ranges: tuple[Range, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -156,6 +158,7 @@ class Verification:
             "escalated": list(self.escalated),
             "defects": list(self.defects),
             "peak_u": self.peak_u,
+            "metrics": [each.summary() for each in self.ranges],
             "worst": [self.worst.row(i) for i in range(len(self.worst))],
             "steps": self.steps,
             "occupancy": self.occupancy,
@@ -254,6 +257,7 @@ class Verification:
         for c in self.claims:
             counts = f"{c.held:9d}{c.violated:10d}{c.undecided:11d}{c.inadmissible:14d}"
             rows.append(f"{c.name:10}{counts}   [{c.low:.3g}, {c.high:.3g}]")
+        rows += map(str, self.ranges)
         rows.append(self.conclusion())
         if probed := said_of_probed(self.study.nominal.loop):
             rows.append(probed)

@@ -247,11 +247,11 @@ def robustness_map(
     names, grids = tuple(over), tuple(_grid(study, name, values) for name, values in over.items())
     cells = [study.substitute(**dict(zip(names, values, strict=True))) for values in it.product(*grids)]
     settings, total = settings or SolverSettings(), runs * len(cells)
-    tables = []
+    tables, wanted = [], (*METRICS, *(metric.name for metric in study.metrics))
     for number, cell in enumerate(cells):
         told = part_of(progress, number * runs, total)
         rows = decide(cell, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
-        tables.append(_kept(concatenate(list(rows))))
+        tables.append(_kept(concatenate(list(rows)), wanted))
     shape, known = tuple(len(grid) for grid in grids), limits(study, dict(zip(names, grids, strict=True)))
     return RobustnessMap(
         study=study,
@@ -263,7 +263,7 @@ def robustness_map(
         },
         medians={
             name: np.array([_median(table, name) for table in tables]).reshape(shape)
-            for name in METRICS
+            for name in wanted
             if name in tables[0]
         },
         runs=runs,
@@ -289,10 +289,9 @@ def _grid(study: Study, name: str, values: Any) -> Float[np.ndarray, " _"]:
     return grid
 
 
-def _kept(table: Runs) -> Runs:
+def _kept(table: Runs, metrics: tuple[str, ...]) -> Runs:
     """The columns that a map needs."""
-    wanted = ("index", *CLAIMS, *METRICS)
-    return Runs({name: table[name] for name in wanted if name in table.columns}, ())
+    return Runs({name: table[name] for name in ("index", *CLAIMS, *metrics) if name in table.columns}, ())
 
 
 def _claim_map(tables: list[Runs], column: str, shape: tuple[int, ...], confidence: float) -> ClaimMap:

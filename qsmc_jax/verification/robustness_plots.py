@@ -17,11 +17,6 @@ Scales = Mapping[str, tuple[float, str]]
 
 # Line of each kind of threshold.
 _LINES = {"local": (PURPLE, ":"), "sufficient": (GREEN, "-."), "necessary": (RED, "--")}
-_LABELS = {
-    "peak_ratio": r"median of $\sup |\sigma|/\rho$ [-]",
-    "excess_variation_u": "median of the excess variation of u",
-    "reversal_rate": "median of the reversals of u [1/s]",
-}
 _PROBABILITY = "probability of leaving the funnel"
 # Above this an interval without any violation is too wide for a logarithmic axis to show more than a linear one.
 _WIDEST_FOR_LOG = 0.05
@@ -79,7 +74,7 @@ def _curve(ax: Any, result: "RobustnessMap", scales: Scales) -> None:
 def _median_curve(ax: Any, result: "RobustnessMap", scales: Scales, name: str, medians: np.ndarray) -> None:
     ax.plot(_values(result, scales, 0), medians, ".-", color=ORANGE)
     _horizontal(ax, result, scales)
-    ax.set_ylabel(_LABELS[name])
+    ax.set_ylabel(f"median: {result.study.record_of(name).axis}")
     if _spans_decades(medians):
         ax.set_yscale("log")
 
@@ -113,7 +108,7 @@ def _median_mesh(ax: Any, result: "RobustnessMap", scales: Scales, name: str, me
 
     norm = LogNorm() if _spans_decades(medians) else None
     colours = colormaps["cividis"].with_extremes(bad=GREY)
-    _coloured(ax, result, scales, medians, colours, norm, _LABELS[name])
+    _coloured(ax, result, scales, medians, colours, norm, f"median: {result.study.record_of(name).axis}")
 
 
 def _coloured(

@@ -1,10 +1,12 @@
 """What verification keeps of a stream of runs: counts, the worst runs, histograms, however many runs there are."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
+from qsmc_jax.metrics.record import Record
 from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
 
@@ -41,6 +43,59 @@ class Histogram:
         return float(self.edges[1 + np.searchsorted(cumulative, fraction * cumulative[-1])])
 
 
+@dataclasses.dataclass
+class Range:
+    """What a metric was in the runs in which it is known, infinite ones included.
+
+    Attributes:
+        record: What is known of the metric.
+        runs: How many they are.
+        total: Its sum over them.
+        least: The smallest, and the first run that had it.
+        largest: The largest, and the first run that had it.
+    """
+
+    record: Record
+    runs: int = 0
+    total: float = 0.0
+    least: tuple[float, int] = (np.inf, 0)
+    largest: tuple[float, int] = (-np.inf, 0)
+
+    def add(self, values: np.ndarray, index: np.ndarray) -> None:
+        """Takes values in that are not NaN."""
+        known = ~np.isnan(values)
+        if not known.any():
+            return
+        values, index = values[known], index[known]
+        low, high = np.lexsort((index, values))[0], np.lexsort((index, -values))[0]
+        least, largest = (float(values[low]), int(index[low])), (float(values[high]), int(index[high]))
+        self.least = min(self.least, least) if self.runs else least
+        self.largest = max(self.largest, largest, key=lambda each: (each[0], -each[1])) if self.runs else largest
+        self.runs, self.total = self.runs + len(values), self.total + float(values.sum())
+
+    @property
+    def mean(self) -> float:
+        """The mean; NaN if there are none."""
+        return self.total / self.runs if self.runs else float("nan")
+
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain numbers and texts."""
+        about = {"name": self.record.name, "unit": self.record.unit, "runs": self.runs, "mean": self.mean}
+        ends = {"least": self.least, "largest": self.largest} if self.runs else {}
+        return {
+            **about,
+            **{f"{end}{part}": each[i] for end, each in ends.items() for i, part in enumerate(("", "_run"))},
+        }
+
+    def __str__(self) -> str:
+        name, unit = self.record.name, f" {self.record.unit}" if self.record.unit else ""
+        if not self.runs:
+            return f"{name}: known in no run"
+        (least, least_run), (largest, largest_run) = self.least, self.largest
+        ends = f"{least:.6g} (run {least_run}) to {largest:.6g}{unit} (run {largest_run})"
+        return f"{name}: {ends}, mean {self.mean:.6g}{unit}, in {self.runs} runs"
+
+
 class Summary:
     """Takes tables in any order.
 
@@ -51,15 +106,18 @@ class Summary:
         reach: Histogram of the reach time [s].
         steps: Solver steps of all runs together.
         peak_u: Largest sup |u| of any run that held.
+        ranges: What the study's own metrics were.
     """
 
-    def __init__(self, worst: int, longest_reach: float):
+    def __init__(self, worst: int, longest_reach: float, records: Iterable[Record] = ()):
         """Empty.
 
         Args:
             worst: How many of the worst rows to keep.
             longest_reach: End of the histogram of reach times [s].
+            records: What is known of the study's own metrics.
         """
+        self.ranges = tuple(map(Range, records))
         self.counts = {claim: dict.fromkeys(Verdict, 0) for claim in CLAIMS}
         self.worst: list[Runs] = []
         self.margin = Histogram.over(0.0, 1.0)
@@ -76,6 +134,8 @@ class Summary:
         self.margin.add(table["margin"])
         self.reach.add(table["reach_time"])
         self.steps += int(table["steps"].sum())
+        for each in self.ranges:
+            each.add(table[each.record.name], table["index"])
         held = table["peak_u"][table["verdict"] == Verdict.HELD]
         self.peak_u = max(self.peak_u, held.max(initial=0.0))
         self.worst = [worst_of([*self.worst, table], self._keep)]

@@ -1,0 +1,70 @@
+"""The signals of a loop at one instant, as functions of metrics see them, and one step of a solve, as metrics do."""
+
+import abc
+from typing import Any, NamedTuple
+
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import RealScalarLike, Scalars
+
+
+class Signals(NamedTuple):
+    r"""A loop at one instant: scalars, and tuples of n scalars.
+
+    Attributes:
+        t: Time [s].
+        x: State.
+        desired: Desired output and its first n - 1 derivatives.
+        e: Errors e^(0) ... e^(n-1).
+        sigma: Sliding variable.
+        rho: Half-width of the funnel.
+        ratio: sigma/rho [-].
+        u: Input of the plant.
+        d: Matched disturbance.
+        w: What drives the sliding variable apart from the input, in $\dot\sigma = w + g u$.
+        g: Gain of the plant.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.metrics.Signals._fields
+        ('t', 'x', 'desired', 'e', 'sigma', 'rho', 'ratio', 'u', 'd', 'w', 'g')
+    """
+
+    t: RealScalarLike
+    x: Scalars
+    desired: Scalars
+    e: Scalars
+    sigma: RealScalarLike
+    rho: RealScalarLike
+    ratio: RealScalarLike
+    u: RealScalarLike
+    d: RealScalarLike
+    w: RealScalarLike
+    g: RealScalarLike
+
+
+class AbstractStep(AbstractModule):
+    """One step of a solve, on which nothing jumps, and all signals in it.
+
+    Attributes:
+        data: Arrays that it is made of; the same step with other ones is another step.
+    """
+
+    data: Any
+
+    @property
+    @abc.abstractmethod
+    def t0(self) -> RealScalarLike:
+        """When it begins [s]."""
+
+    @property
+    @abc.abstractmethod
+    def t1(self) -> RealScalarLike:
+        """When it ends [s]."""
+
+    @abc.abstractmethod
+    def at(self, theta: RealScalarLike) -> Signals:
+        """The signals in it, by its dense output.
+
+        Args:
+            theta: Where, 0 at its beginning and 1 at its end.
+        """

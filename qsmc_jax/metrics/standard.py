@@ -1,0 +1,224 @@
+"""The metrics of every run: each is declared here, with its unit and meaning, and nowhere else."""
+
+import dataclasses
+import functools as ft
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int
+
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.metrics.record import Record, explained, metric, records_of, without_index
+
+
+@explained
+class SampledFigures(AbstractModule):
+    """What is known of a loop with an implementation besides; the steady phase is from t_r to the horizon.
+
+    At default settings the figures of such a loop, these and those of `Figures`, are good to 1e-4 relative to their
+    size (`peak_excess`: to the funnel's; `excess_variation_u`: to that of `total_variation_u`), and with `tight()` to a
+    tenth of that; `high_frequency_ratio` to 1e-3 of all power, `reversal_rate` to one reversal, and `settle_time` is
+    late by up to a period.
+    """
+
+    recovery_time: Float[Array, ""] = metric(
+        meaning="Time after which |sigma| < rho for good; 0 if it never was outside, inf if it ends there",
+        unit="s",
+        label="back in the funnel for good",
+        loops="sampled",
+        worse="high",
+        has_gradient=True,
+        may_jump=True,
+    )
+    peak_excess: Float[Array, ""] = metric(
+        meaning="sup (|sigma| - rho), in units of the sliding variable; negative inside the funnel",
+        label=r"$\sup (|\sigma| - \rho)$",
+        loops="sampled",
+        worse="high",
+        has_gradient=True,
+    )
+    excess_variation_u: Float[Array, ""] = metric(
+        meaning="In the steady phase, total variation of u less that of the equivalent input -w/g",
+        label="excess variation of u",
+        phase="steady",
+        loops="sampled",
+        worse="high",
+        has_gradient=True,
+        is_compared=True,
+    )
+    reversal_rate: Float[Array, ""] = metric(
+        meaning="Reversals of the command per time in the steady phase, with 1 % of its range as hysteresis",
+        unit="1/s",
+        label="reversals of u",
+        phase="steady",
+        loops="sampled",
+        worse="high",
+        is_compared=True,
+        may_jump=True,
+    )
+    high_frequency_ratio: Float[Array, ""] = metric(
+        meaning="Power of u above the cutoff frequency over all of it in the steady phase, which may pass 1 where u "
+        "dies out",
+        unit="-",
+        label="high-frequency part of u",
+        phase="steady",
+        loops="sampled",
+        worse="high",
+        has_gradient=True,
+        is_compared=True,
+    )
+    peak_rate_u: Float[Array, ""] = metric(
+        meaning="In the steady phase, largest change of the command from sample to sample over the period",
+        label="largest rate of u",
+        phase="steady",
+        loops="sampled",
+        worse="high",
+        has_gradient=True,
+        is_compared=True,
+    )
+
+
+@explained
+class Figures(AbstractModule):
+    """The figures of one run, each a scalar (`peak_errors`: n scalars). What is not known is NaN, never a guess.
+
+    At default settings, relative to their size, `total_variation_u`, `peak_errors` and `peak_u_bound` of an ideal loop
+    are good to 1e-4, `margin`, `peak_ratio`, `energy_u`, `peak_u` and `rms_error` to 1e-5. At `reach_time` |sigma| is
+    the bandwidth to 1e-4, and at `peak_time` |sigma|/rho its peak to 1e-5; `violation_time` is good to 1e-5 of the
+    horizon. With `tight()` all are good to a tenth of that. `settle_time` is late by up to a step; before t_r, where
+    nothing is claimed of errors, they are looked at where steps meet only. `least_gain` and `largest_disturbance` are
+    what was met there; the others are exact.
+
+    Attributes:
+        sampled: What is known of a loop with an implementation besides; None for the ideal loop.
+        own: The metrics of the study, by their names.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> figures = qj.simulate(qj.paper.example1(), [0.9, 0.9], t1=2.0, bandwidth=0.1).figures
+        >>> round(float(figures.peak_ratio), 3), round(float(figures.columns()["rms_error"]), 3)
+        (0.632, 0.46)
+    """
+
+    verdict: Int[Array, ""] = metric(meaning="Verdict on the funnel claim, |sigma(t)| < rho(t) for all t")
+    verdict_reaching: Int[Array, ""] = metric(meaning="Verdict on |sigma(t)| < bandwidth for all t >= t_r")
+    verdict_tracking: Int[Array, ""] = metric(
+        meaning="Verdict on |e^(i)(t)| <= bandwidth ||G_i||_1 for all t >= t_s and all i, with the settling time t_s >="
+        " t_r that the funnel guarantees: the first time from which the sharp envelope |C_i e^{At} E(0)| + int_0^t"
+        " |h_i(t-s)| rho(s) ds (+ rho(t) for i = n - 1) stays inside that bound"
+    )
+    outcome: Int[Array, ""] = metric(meaning="How the solve ended, an `Outcome`")
+    end_time: Float[Array, ""] = metric(
+        meaning="Time up to which the run was solved", unit="s", label="end", may_jump=True
+    )
+    peak_ratio: Float[Array, ""] = metric(
+        meaning="sup |sigma|/rho; 1 if an ideal loop left the funnel, where it ends",
+        unit="-",
+        label=r"$\sup |\sigma|/\rho$",
+        worse="high",
+        has_gradient=True,
+        is_compared=True,
+    )
+    margin: Float[Array, ""] = metric(
+        meaning="1 - peak_ratio, without cancellation",
+        unit="-",
+        label=r"$1 - \sup|\sigma|/\rho$",
+        worse="low",
+        has_gradient=True,
+    )
+    peak_time: Float[Array, ""] = metric(
+        meaning="When the peak occurs", unit="s", label=r"time of $\sup |\sigma|/\rho$", may_jump=True
+    )
+    peak_u: Float[Array, ""] = metric(
+        meaning="sup |u|, units of the input", label=r"$\sup |u|$", worse="high", has_gradient=True, is_compared=True
+    )
+    peak_u_bound: Float[Array, ""] = metric(
+        meaning="What the comparison lemma allows for `peak_u`; a higher peak is a defect of the simulator",
+        label=r"bound on $\sup |u|$",
+    )
+    reach_time: Float[Array, ""] = metric(
+        meaning="Time after which |sigma| < bandwidth for good; inf if never",
+        unit="s",
+        label="reach time",
+        worse="high",
+        has_gradient=True,
+        may_jump=True,
+    )
+    violation_time: Float[Array, ""] = metric(
+        meaning="When the run first left the funnel; inf if it did not",
+        unit="s",
+        label="first outside",
+        worse="low",
+        may_jump=True,
+    )
+    settle_time: Float[Array, ""] = metric(
+        meaning="Time after which the errors are within their bounds for good, to the step; inf if never",
+        unit="s",
+        label="settling time",
+        worse="high",
+        may_jump=True,
+    )
+    peak_errors: tuple[Float[Array, ""], ...] = metric(
+        name="peak_error",
+        meaning="sup |e^(i)| over t >= t_r, i = 0..n-1",
+        label=r"$\sup |e^{(i)}|$",
+        phase="steady",
+        worse="high",
+        has_gradient=True,
+    )
+    rms_error: Float[Array, ""] = metric(
+        meaning="Root mean square of e over the horizon",
+        label="RMS error",
+        worse="high",
+        has_gradient=True,
+        is_compared=True,
+    )
+    energy_u: Float[Array, ""] = metric(
+        meaning="Integral of u^2", label=r"$\int u^2$", worse="high", has_gradient=True, is_compared=True
+    )
+    total_variation_u: Float[Array, ""] = metric(
+        meaning="Integral of |du/dt|; in an ideal loop, reversals within 30 tolerances do not count",
+        label="total variation of u",
+        worse="high",
+        has_gradient=True,
+        is_compared=True,
+    )
+    least_gain: Float[Array, ""] = metric(
+        meaning="Least gain_sign * g met at the end of a step; not positive if the premise on the gain is broken",
+        label=r"least $\pm g$",
+        worse="low",
+    )
+    largest_disturbance: Float[Array, ""] = metric(
+        meaning="Largest |d| met at the end of a step", label=r"largest $|d|$", worse="high"
+    )
+    steps: Int[Array, ""] = metric(meaning="Steps taken, kept or not", label="steps")
+    sampled: SampledFigures | None = None
+    own: dict[str, Float[Array, ""]] = eqx.field(default_factory=dict)
+
+    def named(self) -> dict[str, Any]:
+        """Every figure by its name, those of `sampled` and of the study among them."""
+        named = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        sampled, own = named.pop("sampled"), named.pop("own")
+        return {**named, **({} if sampled is None else vars(sampled)), **own}
+
+    def columns(self) -> dict[str, Any]:
+        """Every figure by the name of its column: `peak_error[i]` is that of the i-th derivative of the error."""
+        named = self.named()
+        peaks = named.pop("peak_errors")
+        return {**named, **{f"peak_error[{i}]": peak for i, peak in enumerate(peaks)}}
+
+
+@ft.lru_cache
+def catalogue() -> dict[str, Record]:
+    """The records of all metrics of a run, by their names."""
+    records = (*records_of(Figures).values(), *records_of(SampledFigures).values())
+    return {record.name: record for record in records}
+
+
+def record_of(column: str) -> Record:
+    """The record of a column; of one that is no metric, a record of nothing but its name.
+
+    Args:
+        column: A column of a table of runs, such as `peak_error[0]`.
+    """
+    return catalogue().get(without_index(column), Record(column))
