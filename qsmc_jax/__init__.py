@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from qsmc_jax.base.errors import InputError as InputError
     from qsmc_jax.control import controllers as controllers
     from qsmc_jax.control import thresholds as thresholds
+    from qsmc_jax.control.control import Sample as Sample
     from qsmc_jax.control.funnel import Funnel as Funnel
     from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
     from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
@@ -74,6 +75,7 @@ _HOMES = {
     "InputError": "qsmc_jax.base.errors",
     "Funnel": "qsmc_jax.control.funnel",
     "QuasiSlidingControl": "qsmc_jax.control.law",
+    "Sample": "qsmc_jax.control.control",
     "SlidingSurface": "qsmc_jax.control.surface",
     "GainFault": "qsmc_jax.implementation.implementation",
     "Implementation": "qsmc_jax.implementation.implementation",

@@ -28,6 +28,13 @@ def scenario(draw):
 STUDY = qj.Study(scenario, bandwidth=0.1)
 
 
+def tunable(draw):
+    return qj.Scenario(qj.paper.example1(), x0=[0.9, 0.9], t1=draw.parameter("t1", 2.0, bounds=(1.0, 3.0)))
+
+
+TUNABLE = qj.Study(tunable, bandwidth=0.1)
+
+
 def with_mu(use):
     """A study of which the funnel's mu is what `use` makes of a drawn number."""
 
@@ -214,8 +221,8 @@ MISTAKES = {
         "There is no column `peak_ration`. Did you mean `peak_ratio`?",
     ),
     "figure misspelt": (
-        lambda: qj.objectives.parse_objective("mean(energy)"),
-        "`metric` must be .*, but is `energy`. Did you mean `energy_u`?",
+        lambda: qj.tune(TUNABLE, ["t1"], "mean(energy)"),
+        "`objective` names `energy`, but must name one of .*. Did you mean `energy_u`?",
     ),
     "text for parameters": (
         lambda: qj.tune(STUDY, "mu", "mean(energy_u)"),

@@ -113,7 +113,7 @@ def test_every_column_of_a_run_is_described():
     import qsmc_jax as qj
 
     rows = qj.monte_carlo(study, 1, block=64)
-    schema = described(pa.table(dict(rows.columns)).schema, study.specs)
+    schema = described(pa.table(dict(rows.columns)).schema, study.records)
     assert [field.name for field in schema if not field.metadata[b"description"]] == []
 
 

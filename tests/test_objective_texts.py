@@ -123,7 +123,7 @@ def test_a_constraint_is_a_comparison(text):
         parse_constraint(text)
 
 
-@pytest.mark.parametrize("text", ["mean(settle_time)", "worst(no_such)", "mean(peak_error)", "mean(mean(peak_u))"])
+@pytest.mark.parametrize("text", ["mean(settle_time)", "worst(verdict)", "mean(peak_error)", "mean(mean(peak_u))"])
 def test_columns_without_a_derivative_are_refused(text):
     with pytest.raises(ValueError, match=r"`metric` must be peak_error\[i\] or one of peak_ratio, .*, but is "):
         parse_objective(text)

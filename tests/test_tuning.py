@@ -254,7 +254,7 @@ def refused(kind, draw):
         pytest.param("short", ["mu"], "mean(peak_error[0])", [], "objective at the start must be finite", marks=SLOW),
         ("plain", ["nu"], "mean(rms_error)", [], "Did you mean `mu`"),
         ("plain", ["x0"], "mean(rms_error)", [], "must name parameters, but `x0` is a uniform"),
-        ("plain", ["mu"], "mean(peak_error[3])", [], "this plant has peak_error"),
+        ("plain", ["mu"], "mean(peak_error[3])", [], "but must name one of peak_error"),
         ("plain", ["mu"], "mean(excess_variation_u)", [], "which only a loop with an `implementation` has"),
         pytest.param(
             "plain",

@@ -22,6 +22,9 @@ def described(schema: Any, records: Mapping[str, Record]) -> Any:
     fields = []
     for field in schema:
         record = known.get(field.name) or record_of(field.name)
-        about = {"description": record.meaning, **({"unit": record.unit} if record.unit else {})}
+        about = {
+            "description": f"{record.meaning}." if record.meaning else "",
+            **({"unit": record.unit} if record.unit else {}),
+        }
         fields.append(field.with_metadata(about))
     return pa.schema(fields)

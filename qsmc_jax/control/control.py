@@ -31,6 +31,13 @@ class Sample(NamedTuple):
         desired: Desired output and its first n derivatives, n + 1 scalars.
         beyond: What a law that is made for the funnel does outside: `"saturate"` holds the value it has just inside
             the edge; `"wrap"` evaluates the formula as it stands, which for the tangent has the wrong sign.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> sample = qj.Sample(t=0.0, period=1e-2, sigma=0.4, rho=1.0, desired=(0.0, 0.0, 0.0))
+        >>> control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
+        >>> round(float(control.command(sample, control.first_memory())[0]), 6)
+        -0.726543
     """
 
     t: RealScalarLike
@@ -56,6 +63,7 @@ class AbstractControl(AbstractModule):
         funnel: Funnel: what the loop is judged by, whether or not the law makes use of it.
         gain_sign: The sign of the control gain g, 1 or -1.
         positive: Names of the law's own numbers that must be positive.
+        is_smooth: Whether the law has a derivative; one that switches by a sign has none that tuning could use.
     """
 
     remedy: ClassVar[str] = "Use `qj.QuasiSlidingControl(surface, funnel)` or one of `qj.controllers`."
@@ -64,6 +72,7 @@ class AbstractControl(AbstractModule):
     funnel: eqx.AbstractVar[Funnel]
     gain_sign: eqx.AbstractVar[Float[Array, ""]]
     positive: eqx.AbstractClassVar[tuple[str, ...]]
+    is_smooth: ClassVar[bool] = True
 
     def __check_init__(self):
         for name in self.positive:

@@ -128,7 +128,7 @@ class _Course(NamedTuple):
 class Variation(AbstractOfSignals):
     """The total variation of a function of the signals, jumps between steps included.
 
-    In a step it is that of the function at five instants, one peak and one trough: good to 1e-4 of itself where it
+    In a step it is that of the function at five instants, one peak and one valley: good to 1e-4 of itself where it
     turns at most once up and once down within a step.
 
     Examples:

@@ -31,6 +31,11 @@ class Record:
         has_gradient: Whether it has a derivative by the gains.
         is_compared: Whether comparisons show it unless told otherwise.
         may_jump: Whether it jumps where a run changes a little, say from one peak to another as high.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.metrics.Record("lateral", "sup |y|", unit="m", label="lateral error").axis
+        'lateral error [m]'
     """
 
     name: str

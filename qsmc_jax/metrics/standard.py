@@ -208,9 +208,19 @@ class Figures(AbstractModule):
         return {**named, **{f"peak_error[{i}]": peak for i, peak in enumerate(peaks)}}
 
 
+# Names by which figures are told where they are no columns.
+FIELDS = tuple(field.name for field in dataclasses.fields(Figures))
+
+
 @ft.lru_cache
 def catalogue() -> dict[str, Record]:
-    """The records of all metrics of a run, by their names."""
+    """The records of all metrics of a run, by their names.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.metrics.catalogue()["reach_time"].unit
+        's'
+    """
     records = (*records_of(Figures).values(), *records_of(SampledFigures).values())
     return {record.name: record for record in records}
 
@@ -220,5 +230,10 @@ def record_of(column: str) -> Record:
 
     Args:
         column: A column of a table of runs, such as `peak_error[0]`.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> qj.metrics.record_of("peak_error[1]").meaning
+        'sup |e^(i)| over t >= t_r, i = 0..n-1'
     """
     return catalogue().get(without_index(column), Record(column))

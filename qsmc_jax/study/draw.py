@@ -22,14 +22,14 @@ from qsmc_jax.base.names import require_name
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.metrics.standard import catalogue
+from qsmc_jax.metrics.standard import FIELDS, catalogue
 from qsmc_jax.study import quantiles
 
 # Standard deviations from the mean to an interval, beyond which the probability of the interval underflows.
 _REACH = 37.0
 
-# The columns that every table of runs has.
-TABLE_COLUMNS = frozenset({"index", "rung", *catalogue()})
+# Columns that every table of runs has, and names by which figures are told.
+TABLE_COLUMNS = frozenset({"index", "rung", *catalogue(), *FIELDS})
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from qsmc_jax.study.tangents import differentiate
 from qsmc_jax.tuning.box import Box
 from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.rows import LOSS, NEEDED, counted, is_unknown, mean_loss, slopes
-from qsmc_jax.tuning.terms import METRICS, known_to
+from qsmc_jax.tuning.terms import METRICS
 
 # A constraint counts as kept up to this part of its bound.
 KEPT = 1e-6
@@ -119,12 +119,13 @@ class Batch:
     history: list[Evaluation] = dataclasses.field(default_factory=list)
 
     def __post_init__(self):
-        nominal, records = self.study.nominal.loop, self.study.records
+        loop, own = self.study.nominal.loop, (metric.name for metric in self.study.metrics)
+        known = (*(f"peak_error[{i}]" for i in range(loop.order)), *METRICS, *own)
         for metric in self.metrics:
             named, record = f"Argument `objective` names `{metric}`", self.study.record_of(metric)
-            known = {*METRICS, *records, *(f"peak_error[{i}]" for i in range(nominal.order))}
-            require(metric in known, f"{named}, but must name {known_to(self.study)}.{nearest(metric, known)}")
-            is_sampled = nominal.implementation is not None or record.loops != "sampled"
+            hint = nearest(metric, known)
+            require(metric in known, f"{named}, but must name one of {', '.join(known)}.{hint}")
+            is_sampled = loop.implementation is not None or record.loops != "sampled"
             require(is_sampled, f"{named}, which only a loop with an `implementation` has.")
             require(record.has_gradient, f"{named}, which has no derivative by the gains.")
 

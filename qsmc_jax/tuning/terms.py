@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.metrics.standard import catalogue
-from qsmc_jax.study.study import Study
 
 Statistic: TypeAlias = Literal["mean", "cvar", "worst", "least"]
 
@@ -18,16 +17,6 @@ Statistic: TypeAlias = Literal["mean", "cvar", "worst", "least"]
 METRICS = tuple(name for name, record in catalogue().items() if record.has_gradient and name != "peak_error")
 _NO_METRICS = set(catalogue()) - set(METRICS)
 _NAME = re.compile(r"peak_error\[\d+\]|[^()\[\]]+")
-
-
-def known_to(study: Study | None = None) -> str:
-    """The columns that objectives can be made of, in words.
-
-    Args:
-        study: With those of this study.
-    """
-    own = () if study is None else (name for name, record in study.records.items() if record.has_gradient)
-    return f"peak_error[i] or one of {', '.join((*METRICS, *own))}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +43,10 @@ class Term:
     def __post_init__(self):
         # A study may have metrics of its own, by names that are known to it.
         is_refused = self.metric in _NO_METRICS or not _NAME.fullmatch(self.metric)
-        require(not is_refused, f"Argument `metric` must be {known_to()}, but is `{self.metric}`.")
+        require(
+            not is_refused,
+            f"Argument `metric` must be peak_error[i] or one of {', '.join(METRICS)}, but is `{self.metric}`.",
+        )
         require(bool(0.0 <= self.level < 1.0), f"Argument `level` must lie in [0, 1), but is {self.level}.")
         require(bool(np.isfinite(self.weight)), f"A weight must be finite, but is {self.weight}.")
 

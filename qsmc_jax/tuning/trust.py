@@ -5,7 +5,6 @@ from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.control.controllers import Sign, SuperTwisting
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import Batch, Evaluation
 
@@ -23,7 +22,7 @@ def refuse_jumps(study: Study) -> None:
     loop = study.nominal.loop
     law = type(loop.control).__name__
     require(
-        not isinstance(loop.control, Sign | SuperTwisting),
+        loop.control.is_smooth,
         f"The gradient of this study can't be trusted: `{law}` switches by the sign of sigma, which has no derivative. "
         "Tune `BoundaryLayer` or the quasi-sliding law.",
     )

@@ -1,0 +1,20 @@
+"""What a comparison on equal terms takes from the quasi-sliding-mode law."""
+
+import math
+
+import jax.numpy as jnp
+
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.control.law import QuasiSlidingControl
+
+
+def slope(control: QuasiSlidingControl) -> RealScalarLike:
+    r"""How steep the tangent is at $\sigma = 0$ when the funnel has shrunk, $\pi / 2\rho_\infty$."""
+    return 0.5 * math.pi / control.funnel.rho_inf
+
+
+@entry_point
+def error_at_rest(control: QuasiSlidingControl, needed: RealScalarLike) -> RealScalarLike:
+    r"""The $|\sigma|$ at which the tangent gives the input `needed`, when the funnel has shrunk."""
+    return (2.0 / math.pi) * control.funnel.rho_inf * jnp.arctan(needed)
