@@ -43,9 +43,9 @@ def read_states(
     """The metrics by their names: NaN of a run that was not completed, or ended before the window did."""
 
     def known(metric: AbstractMetric) -> Bool[Array, ""]:
-        # The window of one without an end is up to the horizon.
-        end = metric.after if math.isinf(metric.before) else metric.before
-        return is_complete & (horizon >= end) & (horizon > metric.after)
+        # A window without an end is up to the horizon.
+        is_whole = horizon > metric.after if math.isinf(metric.before) else horizon >= metric.before
+        return is_complete & is_whole
 
     return {
         metric.name: jnp.where(known(metric), metric.read(_typed(metric, states[metric.name], step), step), jnp.nan)
