@@ -294,6 +294,7 @@ def test_a_run_that_did_not_end_or_ended_before_the_window_has_none():
             lambda: m.Custom("p", lambda s: jnp.zeros(2), lambda state, step: state[0], lambda state: state),
             "must keep what `start` returns",
         ),
+        (lambda: m.Peak("p", eqx.Partial(lambda a, s: a * s.u, jnp.ones(()))), "must be made of plain functions"),
     ],
 )
 def test_what_does_not_fit_is_named(metric, said):

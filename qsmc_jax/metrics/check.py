@@ -1,7 +1,7 @@
 """Whether metrics of one's own can be kept up at all, and what they compute, said before anything is solved."""
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import jax
@@ -61,6 +61,13 @@ def check_metrics(metrics: Sequence[Any], start: Signals, horizon: float, taken:
             f"Argument `after` of metric `{metric.name}` must lie before the horizon, {horizon:g} s, but is "
             f"{metric.after:g} s.",
         )
+        try:
+            hash(metric)
+        except TypeError:
+            raise InputError(
+                f"Metric `{metric.name}` must be made of plain functions, by which programs are kept, but has no hash. "
+                "Close over numbers, `lambda s: abs(s.u) - limit`, instead of `eqx.Partial`."
+            ) from None
         program_of(metric, len(start.x))
         if isinstance(metric, AbstractOfSignals):
             value = float(np.asarray(metric.of(start), float))
@@ -83,26 +90,31 @@ def record_in(metric: AbstractMetric, order: int) -> Record:
 
 
 def program_of(metric: AbstractMetric, order: int) -> Program:
-    """The program of all that a metric does in a step.
+    """The program of what the user wrote of a metric.
 
     Args:
         metric: The metric.
         order: Order of the plant.
     """
-    signals = _stand_ins(order)
-    what, takes = f"Metric `{metric.name}`", "the signals at one instant"
+    if not isinstance(metric, AbstractOfSignals):
+        return _traced(metric, f"Metric `{metric.name}`", lambda *ends: _once(metric, _Straight(ends)), order, 2)
+    what = f"Function `of` of metric `{metric.name}`"
+    require(callable(metric.of), f"{what} must be a function of the signals, but is {metric.of!r}.")
+    return _traced(metric, what, lambda now: _result(what, metric.of(now)), order, 1)
+
+
+def _traced(metric: AbstractMetric, what: str, call: Callable[..., Any], order: int, instants: int) -> Program:
+    """The program of what makes one number of the signals at so many instants."""
     try:
-        if isinstance(metric, AbstractOfSignals):
-            what = f"Function `of` of metric `{metric.name}`"
-            require(callable(metric.of), f"{what} must be a function of the signals, but is {metric.of!r}.")
-            require_number(what, trace(what, takes, (), lambda _, now: _result(what, metric.of(now)), signals)[1])
-        program, result = trace(what, takes, (), lambda _, *ends: _once(metric, _Straight(ends)), signals, signals)
+        signals = (_stand_ins(order),) * instants
+        program, result = trace(what, "the signals at one instant", (), lambda _, *given: call(*given), *signals)
     except AttributeError as error:
+        if "'Signals' object" not in str(error):
+            raise
         name = str(error).rpartition("'")[0].rpartition("'")[2]
-        listed = ", ".join(Signals._fields)
         raise InputError(
-            f"{what} must take the signals at one instant, which have {listed}, but asks for `{name}`."
-            f"{nearest(name, Signals._fields)}"
+            f"{what} must take the signals at one instant, which have {', '.join(Signals._fields)}, but asks for "
+            f"`{name}`.{nearest(name, Signals._fields)}"
         ) from error
     require_number(what, result)
     return program

@@ -27,10 +27,7 @@ def contents(scenario: Callable[[Any], Any], metrics: tuple[AbstractMetric, ...]
     draw = PointDraw()
     with in_64_bits():
         nominal = scenario(draw)
-    own = (
-        (f"metric `{metric.name}`", digest(program_of(metric, nominal.loop.order), metric.after, metric.before))
-        for metric in metrics
-    )
+    own = ((f"metric `{each.name}`", _metric(each, nominal.loop.order)) for each in metrics)
     return (("scenario", _scenario(scenario, dimension(draw.specs))), *functions_of(nominal.loop), *own)
 
 
@@ -67,6 +64,11 @@ class Made:
                 "study was made. Numbers that it reads from outside belong to the study: make it anew, "
                 "`qj.Study(scenario, ...)`, after changing one, or draw them by `draw.parameter`."
             )
+
+
+def _metric(metric: AbstractMetric, order: int) -> str:
+    about = type(metric).__name__, metric.after, metric.before, metric.unit
+    return digest(program_of(metric, order), *about)
 
 
 def _scenario(scenario: Callable[[Any], Any], dim: int) -> str:

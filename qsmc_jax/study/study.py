@@ -136,7 +136,7 @@ class Study:
         """The scenario with its contents: what its programs are known by."""
         return Made(self.scenario, self.contents, tuple(self.metrics))
 
-    @property
+    @ft.cached_property
     def records(self) -> dict[str, Record]:
         """What is known of the columns that this study alone has, by their names."""
         drawn = {column: Record(column, f"Drawn by the study: {s.kind}") for s in self.specs for column in s.columns}
