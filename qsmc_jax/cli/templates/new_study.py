@@ -51,7 +51,7 @@ def scenario(draw):
     disturbance = qj.disturbances.random_sine(draw, "d", bound=0.5, frequencies=(0.1, 10.0))
     # sigma = e' + 2 e: once sigma is small, the error dies out like exp(-2 t). It must be stable, as this one is.
     surface = qj.SlidingSurface([2.0])
-    # |sigma| stays below rho(t) = (rho0 - rho_inf) exp(-mu t) + rho_inf; it must start below rho0.
+    # |sigma| stays below rho(t) = rho0 exp(-mu t) + rho_inf; it must start below rho0 + rho_inf.
     funnel = qj.Funnel(
         rho0=draw.parameter("rho0", 5.0, bounds=(1.0, 20.0)),
         mu=draw.parameter("mu", 2.0, bounds=(0.5, 10.0)),
@@ -62,5 +62,9 @@ def scenario(draw):
     return qj.Scenario(loop, x0=draw.uniform("x0", -0.8, 0.8, shape=(2,)), t1=10.0)
 
 
+# Columns of your own, besides some twenty that every run has: functions of the signals at one instant.
+overshoot = qj.metrics.Peak("overshoot", lambda s: jnp.abs(s.x[0]) - 1.0, after=3.0, unit="m")
+settling = qj.metrics.LastTime("settling", lambda s: jnp.abs(s.e[0]) - 0.02)
+
 # Quasi-sliding mode: |sigma| < 0.1 after the reaching time. It must lie between rho_inf and rho0.
-study = qj.Study(scenario, bandwidth=0.1)
+study = qj.Study(scenario, bandwidth=0.1, metrics=[overshoot, settling])
