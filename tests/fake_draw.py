@@ -24,5 +24,8 @@ class FakeDraw(Draw):
     def log_uniform(self, name, low, high, *, shape=()):
         return self._named(name, np.exp(self.rng.uniform(math.log(low), math.log(high), shape)))
 
+    def record(self, name, value):
+        return self._named(name, value)
+
     def exponential(self, name, mean, *, shape=()):
         return self._named(name, self.rng.exponential(mean, shape))

@@ -55,7 +55,7 @@ def noted(drawn, point):
     """What is drawn first, and whether the run was found to be in range."""
     draw = PointDraw(point)
     drawn(draw, draw.uniform("a", 0.0, 2.0))
-    return draw.record["a"], draw.is_valid
+    return draw.recorded["a"], draw.is_valid
 
 
 @pytest.mark.parametrize("is_traced", [False, True], ids=["replay", "batch"])

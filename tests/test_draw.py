@@ -167,8 +167,35 @@ def test_coordinates_go_to_their_names_in_c_order():
 def test_record_holds_every_value_in_order():
     draw = PointDraw(np.full(10, 0.5), {"mu": 2.0})
     scenario(draw)
-    assert list(draw.record) == ["mass", "mu", "x0", "table", "side"]
-    assert draw.record["mu"] == 2.0
+    assert list(draw.recorded) == ["mass", "mu", "x0", "table", "side"]
+    assert draw.recorded["mu"] == 2.0
+
+
+def derived(draw):
+    side = draw.uniform("side", 1.0, 3.0, shape=(2,))
+    area = draw.record("area", side[0] * side[1])
+    return side, area, draw.record("squares", side**2), draw.uniform("after", 0.0, 1.0)
+
+
+def test_what_is_recorded_is_told_and_takes_no_coordinate():
+    point = np.array([0.5, 1.0, 0.25])
+    side, area, squares, after = derived(PointDraw(point))
+    assert (area, after) == (6.0, 0.25)
+    np.testing.assert_array_equal(squares, side**2)
+    specs, _ = discover(derived)
+    assert [(s.name, s.columns, s.size) for s in specs[1:3]] == [
+        ("area", ("area",), 0),
+        ("squares", ("squares[0]", "squares[1]"), 0),
+    ]
+    assert dimension(specs) == 3
+
+
+def test_what_is_recorded_can_not_be_chosen():
+    specs, _ = discover(derived)
+    with pytest.raises(ValueError, match="Name `area` can't be given a value: the scenario works it out"):
+        check_values(specs, {"area": 2.0})
+    with pytest.raises(ValueError, match="must be new in the scenario, but is `side` a second time"):
+        discover(lambda draw: draw.record("side", draw.uniform("side", 0.0, 1.0)))
 
 
 def test_substitution_moves_nothing_else():

@@ -302,6 +302,20 @@ def test_what_does_not_fit_is_named(metric, said):
         qj.Study(peaked, bandwidth=0.1, metrics=[metric()])
 
 
+def test_a_recorded_number_is_a_column_whatever_it_is_worked_out_from():
+    def recording(draw):
+        x0 = draw.uniform("x0", 0.1, 0.9, shape=(2,))
+        draw.record("start", 2.0 * x0[0] + x0[1])
+        return qj.Scenario(qj.paper.example1(), x0=x0, t1=1.0)
+
+    study = qj.Study(recording, bandwidth=0.1)
+    rows = qj.monte_carlo(study, 8)
+    np.testing.assert_allclose(rows["start"], 2.0 * rows["x0[0]"] + rows["x0[1]"], rtol=1e-15)
+    assert "start" in rows.names
+    with pytest.raises(qj.InputError, match="Name `start` can't be given a value"):
+        study.substitute(start=1.0)
+
+
 def test_a_name_is_taken_once():
     twice = [m.Peak("p", lambda s: s.u), m.Final("p", lambda s: s.u)]
     with pytest.raises(qj.InputError, match="`p` is the name of a column already"):

@@ -79,3 +79,7 @@ class Draw(Protocol):
     def sign(self, name: str, *, shape: tuple[int, ...] = ()) -> Any:
         """-1 or +1, equally likely."""
         ...
+
+    def record(self, name: str, value: Any) -> Any:
+        """Makes a number that the scenario works out from others a column; returns it."""
+        ...

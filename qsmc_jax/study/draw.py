@@ -28,6 +28,8 @@ from qsmc_jax.study import quantiles
 # Standard deviations from the mean to an interval, beyond which the probability of the interval underflows.
 _REACH = 37.0
 
+# Kind of a name that is worked out from others.
+RECORDED = "record"
 # Columns that every table of runs has, and names by which figures are told.
 TABLE_COLUMNS = frozenset({"index", "rung", *catalogue(), *FIELDS})
 
@@ -38,11 +40,11 @@ class DrawSpec:
 
     Attributes:
         name: The name, label of its columns.
-        kind: The method that drew it, such as "uniform" or "parameter".
+        kind: The method that drew it, such as "uniform" or "parameter"; "record" for what is worked out from others.
         shape: Shape of its value.
         bounds: Smallest and largest value; infinite where there is none, or where it depends on other names.
         start: Its first coordinate of the unit cube.
-        size: How many coordinates it takes; 0 for a parameter.
+        size: How many coordinates it takes; 0 for a parameter, and for what is recorded.
         flat_nominal: Entries of `nominal`, in C order.
         levels: The values it can take when these are finitely many, else empty.
     """
@@ -75,7 +77,7 @@ class PointDraw:
     Lives for one call of a scenario and keeps a record of it.
 
     Attributes:
-        record: The value of each name, in order of appearance.
+        recorded: The value of each name, in order of appearance.
         specs: What was found about each name; filled at the nominal point only.
         dependent: Names whose bounds depend on traced values.
         is_valid: Whether every distribution had arguments in range in this run; at the nominal point it raises instead.
@@ -89,7 +91,7 @@ class PointDraw:
             values: Numbers to use in place of what the names would get, unchecked (see `check_values`). Coordinates of
                 substituted names are passed over, so that the others don't move.
         """
-        self.record: dict[str, Any] = {}
+        self.recorded: dict[str, Any] = {}
         self.specs: list[DrawSpec] = []
         self.dependent: set[str] = set()
         self.is_valid: Any = np.True_
@@ -181,6 +183,10 @@ class PointDraw:
         levels = (-1.0, 1.0)
         return self._take(name, "sign", shape, levels, quantiles.choice, np.array(levels), levels=levels)
 
+    def record(self, name: str, value: Any) -> Any:
+        """Makes a number that the scenario works out from others a column; returns it."""
+        return self._keep(name, RECORDED, as_float64(value), (-math.inf, math.inf), size=0)
+
     def _number(self, name: str, argument: str, value: Any) -> Any:
         """An argument of a draw as float64: one finite number."""
         require_shape(f"{argument}` of `{name}", value, (), "a single number")
@@ -231,9 +237,9 @@ class PointDraw:
         self, name: str, kind: str, value: Any, bounds: tuple[Any, Any], *, size: int, levels: tuple[float, ...] = ()
     ) -> Any:
         """Records the value, or what is substituted for it, and passes over its coordinates."""
-        _require_new_name(name, self.record)
+        _require_new_name(name, self.recorded)
         value = _scalar(self._values.get(name, value))
-        self.record[name] = value
+        self.recorded[name] = value
         if is_traced(bounds):
             self.dependent.add(name)
         if self._point is None:
@@ -287,6 +293,10 @@ def check_values(specs: Sequence[DrawSpec], values: Mapping[str, Any]) -> dict[s
     for name in values:
         if name not in by_name:
             raise InputError(_unknown_name(name, list(by_name)))
+        require(
+            by_name[name].kind != RECORDED,
+            f"Name `{name}` can't be given a value: the scenario works it out from others and records it.",
+        )
     return {name: _checked_value(by_name[name], value) for name, value in values.items()}
 
 

@@ -33,7 +33,7 @@ def run(
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
     problem = pose(made.loop, x0, bandwidth, settings, scenario.contents, scenario.metrics)
     figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
-    return {name: jnp.asarray(value) for name, value in draw.record.items()}, figures
+    return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, figures
 
 
 def run_along(
@@ -49,7 +49,7 @@ def run_along(
     made = scenario(draw)
     known = draw.is_valid, scenario.contents, scenario.metrics
     course = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, *known)
-    return {name: jnp.asarray(value) for name, value in draw.record.items()}, course
+    return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, course
 
 
 def stiffness_at(scenario: Made, values: Values, point: Float[Array, " dim"]) -> Float[Array, ""]:
