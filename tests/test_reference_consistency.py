@@ -27,19 +27,24 @@ class Reference(qj.AbstractReference):
         return self.times
 
 
-class Mass(qj.AbstractPlant):
-    order: int
+def mass(degree):
+    """A mass with so many integrators."""
 
-    def drift(self, t, x):
-        return 0.0 * x[0]
+    class Mass(qj.AbstractPlant):
+        order = degree
 
-    def gain(self, t, x):
-        return 1.0
+        def drift(self, t, x):
+            return 0.0 * x[0]
+
+        def gain(self, t, x):
+            return 1.0
+
+    return Mass()
 
 
 def loop(reference, order=2):
     control = qj.QuasiSlidingControl(qj.SlidingSurface.binomial(2.0, order), qj.Funnel(*FUNNEL))
-    return qj.ClosedLoop(Mass(order), reference, qj.disturbances.Zero(), control)
+    return qj.ClosedLoop(mass(order), reference, qj.disturbances.Zero(), control)
 
 
 def scenario(function, t1=10.0, order=2, times=()):

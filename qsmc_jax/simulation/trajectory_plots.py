@@ -106,7 +106,7 @@ def _output(ax: Any, run: "Trajectory", colour: str, label: str) -> None:
     ax.plot(run.ts, run.x[:, 0], color=colour, label=label or "y")
 
 
-def _errors(ax: Any, runs: tuple["Trajectory", ...]) -> None:
+def _errors(ax: Any, runs: tuple[Any, ...]) -> None:
     """The tracking error of each run; of a single run, the derivatives too."""
     if len(runs) == 1:
         for i in range(runs[0].loop.order):
