@@ -45,3 +45,4 @@ def few_programs():
         lanes._traced.cache_clear()
         lanes._compiled.cache_clear()
         jax.clear_caches()
+        gc.collect()
