@@ -269,6 +269,25 @@ def test_a_run_that_did_not_end_or_ended_before_the_window_has_none():
     assert np.isnan(qj.monte_carlo(study, 2, settings=cut)["open"]).all()
 
 
+def test_where_the_function_is_no_number_nothing_is_known():
+    """x falls through 0, where the root ends: nobody may take that for a condition that no longer holds."""
+    root = lambda s: jnp.sqrt(s.x[0]) - 0.1  # noqa: E731
+    kinds = [
+        m.LastTime("last", root),
+        m.FirstTime("first", lambda s: -root(s)),
+        m.Peak("top", root),
+        m.Mean("mean", root),
+    ]
+
+    def falling(draw):
+        control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.1))
+        loop = qj.ClosedLoop(Integrator(2.0), qj.references.Constant(-0.5), qj.disturbances.Zero(), control)
+        return qj.Scenario(loop, x0=[draw.uniform("x0", 0.2, 0.4)], t1=3.0)
+
+    rows = qj.monte_carlo(qj.Study(falling, bandwidth=0.3, metrics=kinds), 4)
+    assert all(np.isnan(rows[name]).all() for name in ("last", "top", "mean"))
+
+
 @pytest.mark.parametrize(
     ("metric", "said"),
     [

@@ -28,6 +28,7 @@ class _Change(NamedTuple):
         off: The next place in it where it is not so; that of `on` if it is so from the beginning, or to the end.
         is_found: Whether there is such a step.
         is_on: Whether it is so at the end of the last step.
+        is_known: Whether the function was a number wherever it was looked at.
     """
 
     data: Any
@@ -35,6 +36,7 @@ class _Change(NamedTuple):
     off: RealScalarLike
     is_found: Bool[Array, ""]
     is_on: Bool[Array, ""]
+    is_known: Bool[Array, ""]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +56,7 @@ class AbstractTime(AbstractOfSignals):
 
     def first(self, step: AbstractStep) -> _Change:
         no, zero = jnp.array(False), jnp.zeros(())
-        return _Change(jax.tree.map(jnp.asarray, step.data), zero, zero, no, no)
+        return _Change(jax.tree.map(jnp.asarray, step.data), zero, zero, no, no, ~no)
 
     def read(self, state: _Change, step: AbstractStep) -> RealScalarLike:
         found = dataclasses.replace(step, data=state.data)
@@ -66,7 +68,7 @@ class AbstractTime(AbstractOfSignals):
         # Zero, with the derivative of the place: the bisection has none.
         shift = (value - jax.lax.stop_gradient(value)) / jax.lax.stop_gradient(jnp.where(is_crossing, slope, 1.0))
         time = found.t0 + (on - jnp.where(is_crossing, shift, 0.0)) * (found.t1 - found.t0)
-        return self.told(state, time)
+        return jnp.where(state.is_known, self.told(state, time), jnp.nan)
 
     def _halve(self, step: AbstractStep, _: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = 0.5 * (ends[0] + ends[1])
@@ -81,6 +83,10 @@ class AbstractTime(AbstractOfSignals):
         inner = 1 + jnp.argmin(jnp.abs(places[1:-1] - peak))
         is_hidden = (height > 0.0) & ~is_on.any() & (jnp.arange(len(NODES)) == inner)
         return jnp.where(is_hidden, peak, places), is_on | is_hidden
+
+    def is_known_in(self, view: View) -> Bool[Array, ""]:
+        """Whether the function is a number at the nodes: what compares with no number is neither so nor not so."""
+        return ~jnp.isnan(self.values(view)).any()
 
     @abc.abstractmethod
     def told(self, state: _Change, time: RealScalarLike) -> RealScalarLike:
@@ -103,8 +109,9 @@ class LastTime(AbstractTime):
 
     def add(self, state: _Change, view: View) -> _Change:
         places, is_on = self.places(view)
-        new = _Change(view.step.data, *_last(places, is_on), jnp.array(True), is_on[-1])
-        return trees.where(is_on.any(), new, state._replace(is_on=jnp.array(False)))
+        is_known = state.is_known & self.is_known_in(view)
+        new = _Change(view.step.data, *_last(places, is_on), jnp.array(True), is_on[-1], is_known)
+        return trees.where(is_on.any(), new, state._replace(is_on=jnp.array(False), is_known=is_known))
 
     def told(self, state: _Change, time: RealScalarLike) -> RealScalarLike:
         return jnp.where(state.is_on, jnp.inf, jnp.where(state.is_found, time, self.after))
@@ -124,8 +131,9 @@ class FirstTime(AbstractTime):
 
     def add(self, state: _Change, view: View) -> _Change:
         places, is_on = self.places(view)
-        new = _Change(view.step.data, *_last(places[::-1], is_on[::-1]), jnp.array(True), is_on[-1])
-        return trees.where(is_on.any() & ~state.is_found, new, state)
+        is_known = state.is_known & (state.is_found | self.is_known_in(view))
+        new = _Change(view.step.data, *_last(places[::-1], is_on[::-1]), jnp.array(True), is_on[-1], is_known)
+        return trees.where(is_on.any() & ~state.is_found, new, state._replace(is_known=is_known))
 
     def told(self, state: _Change, time: RealScalarLike) -> RealScalarLike:
         return jnp.where(state.is_found, time, jnp.inf)
