@@ -197,6 +197,7 @@ def peaked(draw):
     )
 
 
+@pytest.mark.slow
 def test_a_newcomers_column_shows_everywhere(tmp_path):
     source = tmp_path / "study.py"
     source.write_text(
