@@ -336,6 +336,11 @@ def test_a_recorded_number_is_a_column_whatever_it_is_worked_out_from():
         study.substitute(start=1.0)
 
 
+def test_a_metric_alone_is_no_list():
+    with pytest.raises(qj.InputError, match="must be a list of metrics, but is a `Peak`"):
+        qj.Study(peaked, bandwidth=0.1, metrics=m.Peak("p", lambda s: s.u))
+
+
 def test_a_name_is_taken_once():
     twice = [m.Peak("p", lambda s: s.u), m.Final("p", lambda s: s.u)]
     with pytest.raises(qj.InputError, match="`p` is the name of a column already"):

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import RealScalarLike, Scalars
 
 _BISECTIONS = 50
 
@@ -147,6 +147,12 @@ def _halve(
     middle = 0.5 * (bracket[0] + bracket[1])
     is_outside = stop_gradient(jnp.abs(cubic(middle)) >= level)
     return jnp.where(is_outside, middle, bracket[0]), jnp.where(is_outside, bracket[1], middle)
+
+
+def cubics(h: RealScalarLike, left: Scalars, right: Scalars, rates0: Scalars, rates1: Scalars) -> list[Cubic]:
+    """One for each coordinate over a step of length h, given values and derivatives (per time) at both ends."""
+    ends = zip(left, right, rates0, rates1, strict=True)
+    return [Cubic(y0, y1, h * m0, h * m1) for y0, y1, m0, m1 in ends]
 
 
 def integral_of_square(

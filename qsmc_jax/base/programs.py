@@ -320,7 +320,7 @@ class Rewriter:
     def _equation(self, raw: Any) -> Any:
         equation = _equation(raw)
         if self._is_replaced(equation):
-            other = self._call(equation) if self._is_slow(equation) else _zeros(equation)
+            other = self._call(equation) if self._is_slow(equation) else _unknown(equation)
             return raw.replace(primitive=other.primitive, params=other.params, effects=other.effects)
         if equation.name in _ENTERED and any(map(self._holds, programs_in(equation.params))):
             # `bwd`, the backward pass of a custom derivative, is a function of numbers: it makes no program.
@@ -368,12 +368,12 @@ def _told(equation: Equation) -> str:
     return told[0] if len(told) == 1 else ""
 
 
-def _zeros(equation: Equation) -> Any:
-    """The one equation that makes zeros in the place of an operation's results."""
+def _unknown(equation: Equation) -> Any:
+    """The one equation that makes NaN in the place of an operation's results: whatever would need them shows it."""
 
     def make(*inputs: Any) -> tuple[Any, ...]:
         del inputs
-        return tuple(jax.numpy.zeros(shape_of(each), dtype_of(each)) for each in equation.outputs)
+        return tuple(jax.numpy.full(shape_of(each), np.nan, dtype_of(each)) for each in equation.outputs)
 
     stand_ins = [jax.ShapeDtypeStruct(shape_of(each), dtype_of(each)) for each in equation.inputs]
     with in_64_bits():

@@ -97,13 +97,13 @@ def program_of(metric: AbstractMetric, order: int) -> Program:
         order: Order of the plant.
     """
     if not isinstance(metric, AbstractOfSignals):
-        return _traced(metric, f"Metric `{metric.name}`", lambda *ends: _once(metric, _Straight(ends)), order, 2)
+        return _traced(f"Metric `{metric.name}`", lambda *ends: _once(metric, _Straight(ends)), order, 2)
     what = f"Function `of` of metric `{metric.name}`"
     require(callable(metric.of), f"{what} must be a function of the signals, but is {metric.of!r}.")
-    return _traced(metric, what, lambda now: _result(what, metric.of(now)), order, 1)
+    return _traced(what, lambda now: _result(what, metric.of(now)), order, 1)
 
 
-def _traced(metric: AbstractMetric, what: str, call: Callable[..., Any], order: int, instants: int) -> Program:
+def _traced(what: str, call: Callable[..., Any], order: int, instants: int) -> Program:
     """The program of what makes one number of the signals at so many instants."""
     try:
         signals = (_stand_ins(order),) * instants

@@ -9,6 +9,7 @@ import dataclasses
 import functools as ft
 import math
 from collections.abc import Callable
+from numbers import Real
 from typing import Any, ClassVar
 
 import jax
@@ -77,11 +78,12 @@ class AbstractMetric(abc.ABC):
     worse: ClassVar[Worse | None] = None
 
     def __post_init__(self):
-        window = f"[{self.after}, {self.before}]"
+        window = (self.after, self.before)
+        is_window = all(isinstance(end, Real) for end in window) and 0.0 <= self.after < self.before
         require(
-            0.0 <= self.after < self.before,
+            is_window,
             f"Arguments `after` and `before` of `{self.name}` must be a window of times, 0 <= after < before, but are "
-            f"{window}.",
+            f"{self.after!r} and {self.before!r}.",
         )
 
     @property

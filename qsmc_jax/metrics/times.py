@@ -75,18 +75,18 @@ class AbstractTime(AbstractOfSignals):
         is_on = self.value_in(step, middle) > 0.0
         return jnp.where(is_on, middle, ends[0]), jnp.where(is_on, ends[1], middle)
 
-    def places(self, view: View) -> tuple[Float[Array, " nodes"], Bool[Array, " nodes"]]:
-        """Places in a step, in order, and whether it is so there."""
-        places, is_on = jnp.array(NODES), self.values(view) > 0.0
+    def places(self, view: View) -> tuple[Float[Array, " nodes"], Bool[Array, " nodes"], Bool[Array, ""]]:
+        """Places in a step, in order, whether it is so there, and whether the function is a number at all of them.
+
+        What compares with no number is neither so nor not so.
+        """
+        places, values = jnp.array(NODES), self.values(view)
+        is_on = values > 0.0
         peak, height = self.highest(view)
         # Where it is so between nodes only, the peak stands in for the inner node next to it.
         inner = 1 + jnp.argmin(jnp.abs(places[1:-1] - peak))
         is_hidden = (height > 0.0) & ~is_on.any() & (jnp.arange(len(NODES)) == inner)
-        return jnp.where(is_hidden, peak, places), is_on | is_hidden
-
-    def is_known_in(self, view: View) -> Bool[Array, ""]:
-        """Whether the function is a number at the nodes: what compares with no number is neither so nor not so."""
-        return ~jnp.isnan(self.values(view)).any()
+        return jnp.where(is_hidden, peak, places), is_on | is_hidden, ~jnp.isnan(values).any()
 
     @abc.abstractmethod
     def told(self, state: _Change, time: RealScalarLike) -> RealScalarLike:
@@ -108,8 +108,8 @@ class LastTime(AbstractTime):
     worse: ClassVar[Worse | None] = "high"
 
     def add(self, state: _Change, view: View) -> _Change:
-        places, is_on = self.places(view)
-        is_known = state.is_known & self.is_known_in(view)
+        places, is_on, is_known = self.places(view)
+        is_known = state.is_known & is_known
         new = _Change(view.step.data, *_last(places, is_on), jnp.array(True), is_on[-1], is_known)
         return trees.where(is_on.any(), new, state._replace(is_on=jnp.array(False), is_known=is_known))
 
@@ -130,8 +130,8 @@ class FirstTime(AbstractTime):
     unit: str = dataclasses.field(default="s", kw_only=True)
 
     def add(self, state: _Change, view: View) -> _Change:
-        places, is_on = self.places(view)
-        is_known = state.is_known & (state.is_found | self.is_known_in(view))
+        places, is_on, is_known = self.places(view)
+        is_known = state.is_known & (state.is_found | is_known)
         new = _Change(view.step.data, *_last(places[::-1], is_on[::-1]), jnp.array(True), is_on[-1], is_known)
         return trees.where(is_on.any() & ~state.is_found, new, state._replace(is_known=is_known))
 

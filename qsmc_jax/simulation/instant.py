@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from qsmc_jax.base.hermite import Cubic
+from qsmc_jax.base.hermite import Cubic, cubics
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.implementation.swing import Swing
@@ -96,10 +96,8 @@ class Cell(AbstractModule):
 
     def errors(self) -> list[Cubic]:
         """Each error in it."""
-        left, right, h = self.left, self.right, self.length
-        slopes = zip(left.error_rates(self.u0), right.error_rates(self.u1), strict=True)
-        ends = zip(left.errors, right.errors, strict=True)
-        return [Cubic(e0, e1, h * m0, h * m1) for (e0, e1), (m0, m1) in zip(ends, slopes, strict=True)]
+        rates = self.left.error_rates(self.u0), self.right.error_rates(self.u1)
+        return cubics(self.length, self.left.errors, self.right.errors, *rates)
 
     def ratio(self) -> Cubic:
         r"""$z = \sigma/\rho$ in it, with $\dot z = (\dot\sigma - z \dot\rho)/\rho$."""
@@ -128,8 +126,7 @@ class CellStep(AbstractStep):
         cell, loop = self.data, self.problem.loop
         left, right, h = cell.left, cell.right, cell.length
         rates = (loop.rates(left.terms, left.x, cell.u0), loop.rates(right.terms, right.x, cell.u1))
-        ends = zip(left.x, right.x, *rates, strict=True)
-        x = tuple(Cubic(x0, x1, h * m0, h * m1)(theta) for x0, x1, m0, m1 in ends)
+        x = tuple(cubic(theta) for cubic in cubics(h, left.x, right.x, *rates))
         bend = 2.0 * (cell.u0 - 2.0 * cell.middle + cell.u1)
         u = cell.u0 + theta * (cell.u1 - cell.u0 + (theta - 1.0) * bend)
         return sampled_signals(self.problem, at_instant(self.problem, left.t + theta * h, x), u)

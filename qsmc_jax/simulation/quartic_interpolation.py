@@ -3,7 +3,7 @@
 import diffrax as dfx
 import jax.numpy as jnp
 
-from qsmc_jax.base.hermite import Cubic, Quartic
+from qsmc_jax.base.hermite import Quartic, cubics
 from qsmc_jax.base.types import RealScalarLike, Scalars
 
 
@@ -33,6 +33,9 @@ class QuarticInterpolation(dfx.AbstractLocalInterpolation):
         if t1 is not None:
             return tuple(b - a for a, b in zip(self.evaluate(t0), self.evaluate(t1), strict=True))
         h = self.t1 - self.t0
-        components = zip(self.y0, self.y1, self.dy0, self.dy1, self.middle, strict=True)
-        theta = jnp.where(h > 0.0, (t0 - self.t0) / jnp.where(h > 0.0, h, 1.0), 0.0)
-        return tuple(Quartic(Cubic(y0, y1, h * dy0, h * dy1), middle)(theta) for y0, y1, dy0, dy1, middle in components)
+        return self.at(jnp.where(h > 0.0, (t0 - self.t0) / jnp.where(h > 0.0, h, 1.0), 0.0))
+
+    def at(self, theta: RealScalarLike) -> Scalars:
+        """The values at a place in the step, 0 at its start and 1 at its end."""
+        ends = cubics(self.t1 - self.t0, self.y0, self.y1, self.dy0, self.dy1)
+        return tuple(Quartic(cubic, middle)(theta) for cubic, middle in zip(ends, self.middle, strict=True))

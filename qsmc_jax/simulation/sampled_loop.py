@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base import trees
-from qsmc_jax.base.hermite import Cubic
+from qsmc_jax.base.hermite import cubics
 from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
@@ -299,9 +299,9 @@ def _misread(plan: Plan, cell: Cell) -> RealScalarLike:
 
 def _path(now: Instant, h: RealScalarLike, x1: Scalars, rates0: Scalars, rates1: Scalars) -> Path:
     """The state in a cell, by the cubic through its ends and their rates."""
-    cubics = [Cubic(a, b, h * m, h * n) for a, b, m, n in zip(now.x, x1, rates0, rates1, strict=True)]
+    pieces = cubics(h, now.x, x1, rates0, rates1)
     inverse = jnp.where(h > 0.0, 1.0 / jnp.where(h > 0.0, h, 1.0), 0.0)
-    return lambda t: tuple(cubic((t - now.t) * inverse) for cubic in cubics)
+    return lambda t: tuple(cubic((t - now.t) * inverse) for cubic in pieces)
 
 
 def _step_factor(error: RealScalarLike) -> RealScalarLike:

@@ -13,8 +13,8 @@ from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.metrics import signals as metrics
 from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.signals import Signals
 from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.simulation.engine import pose, solve
 from qsmc_jax.simulation.figures import is_refused
@@ -25,7 +25,7 @@ from qsmc_jax.simulation.tally import Problem, ideal_signals
 _DEFAULT_TIMES = 2001
 
 
-class Signals(NamedTuple):
+class GridSignals(NamedTuple):
     """All signals of one run, by the names they have in a `Trajectory`; NaN after its end."""
 
     x: Float[Array, "times n"]
@@ -41,7 +41,7 @@ class Course(NamedTuple):
     """One run in full: its figures, its signals, and the thresholds that they were judged by."""
 
     figures: Figures
-    signals: Signals
+    signals: GridSignals
     error_bounds: Float[Array, " n"]
     settling_time: Float[Array, ""]
 
@@ -85,12 +85,12 @@ def solve_along(
 
 
 @entry_point
-def signals_at_start(loop: ClosedLoop, x0: Float[np.ndarray, " n"]) -> metrics.Signals:
+def signals_at_start(loop: ClosedLoop, x0: Float[np.ndarray, " n"]) -> Signals:
     """The signals at time 0 without input, as metrics see them."""
     e, desired, rho = loop.errors(0.0, tuple(x0)), loop.desired(0.0), loop.control.funnel(0.0)
     balance, sigma = loop.balance(0.0, e, desired), jnp.asarray(loop.control.surface(e))
     driven = balance.disturbance, balance.residual, balance.gain
-    return metrics.Signals(np.zeros(()), tuple(x0), desired[:-1], e, sigma, rho, sigma / rho, np.zeros(()), *driven)
+    return Signals(np.zeros(()), tuple(x0), desired[:-1], e, sigma, rho, sigma / rho, np.zeros(()), *driven)
 
 
 def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:
@@ -112,16 +112,16 @@ def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:
     return grid
 
 
-def _ideal(problem: Problem, t: Array, y: tuple[Array, ...]) -> Signals:
+def _ideal(problem: Problem, t: Array, y: tuple[Array, ...]) -> GridSignals:
     return _stacked(ideal_signals(problem, t, y))
 
 
-def _implemented(problem: Problem, t: Array, saved: tuple[Array, ...]) -> Signals:
+def _implemented(problem: Problem, t: Array, saved: tuple[Array, ...]) -> GridSignals:
     *x, u = saved
     return _stacked(sampled_signals(problem, at_instant(problem, t, tuple(x)), u))
 
 
-def _stacked(now: metrics.Signals) -> Signals:
+def _stacked(now: Signals) -> GridSignals:
     """The signals at one instant, those with a number for each derivative as arrays."""
     x, desired, e = (jnp.stack([jnp.asarray(each) for each in signal]) for signal in (now.x, now.desired, now.e))
-    return Signals(x, desired, e, now.sigma, now.rho, now.u, jnp.asarray(now.d))
+    return GridSignals(x, desired, e, now.sigma, now.rho, now.u, jnp.asarray(now.d))

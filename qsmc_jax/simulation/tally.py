@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from qsmc_jax.base import trees
 from qsmc_jax.base.fence import Fence
 from qsmc_jax.base.gudermann import ratio, sinh_cosh
-from qsmc_jax.base.hermite import Cubic, Quartic, integral_of_square
+from qsmc_jax.base.hermite import Cubic, Quartic, cubics, integral_of_square
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.loop import ClosedLoop
@@ -26,6 +26,7 @@ from qsmc_jax.metrics.accumulate import add_step as add_own
 from qsmc_jax.metrics.metric import AbstractMetric
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.simulation.coordinates import AbstractCoordinates
+from qsmc_jax.simulation.quartic_interpolation import QuarticInterpolation
 
 # Gauss-Lobatto rule with four nodes on [0, 1], exact for polynomials of degree 5: the ends and 1/2 -+ 1/(2 sqrt 5).
 _LOBATTO_NODES = (0.5 - 0.1 * 5**0.5, 0.5 + 0.1 * 5**0.5)
@@ -212,10 +213,10 @@ class IdealStep(AbstractStep):
         return self.data.t1
 
     def at(self, theta: RealScalarLike) -> Signals:
-        step, h = self.data, self.data.t1 - self.data.t0
-        ends = zip(step.y0, step.y1, step.dy0, step.dy1, step.middle, strict=True)
-        y = tuple(Quartic(Cubic(y0, y1, h * m0, h * m1), middle)(theta) for y0, y1, m0, m1, middle in ends)
-        return ideal_signals(self.problem, step.t0 + theta * h, y)
+        step, ends = self.data, {"t0": self.data.t0, "t1": self.data.t1}
+        rates = {"dy0": step.dy0, "dy1": step.dy1}
+        dense = QuarticInterpolation(**ends, y0=step.y0, y1=step.y1, **rates, middle=step.middle)
+        return ideal_signals(self.problem, step.t0 + theta * (step.t1 - step.t0), dense.at(theta))
 
 
 def ideal_signals(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
@@ -241,8 +242,7 @@ def _peak(problem: Problem, step: Step, s: Cubic) -> Peak:
     h = step.t1 - step.t0
     middle = problem.coordinates.funnel_coordinate(problem.loop, step.t0 + 0.5 * h, step.middle)
     theta, height = problem.fence(Quartic(s, middle).highest())
-    ends = zip(step.y0, step.y1, step.dy0, step.dy1, strict=True)
-    y = tuple(Cubic(y0, y1, h * m0, h * m1)(theta) for y0, y1, m0, m1 in ends)
+    y = tuple(cubic(theta) for cubic in cubics(h, step.y0, step.y1, step.dy0, step.dy1))
     return Peak(height, step.t0 + theta * h, y)
 
 
@@ -265,8 +265,7 @@ def _premises(loop: ClosedLoop, t: RealScalarLike, errors: Scalars) -> tuple[Rea
 
 def _error_cubics(left: _End, right: _End, h: RealScalarLike) -> list[Cubic]:
     """Each error in the step; the slope of one is the value of the next."""
-    ends = zip(left.errors[:-1], right.errors[:-1], left.errors[1:], right.errors[1:], strict=True)
-    return [Cubic(y0, y1, h * m0, h * m1) for y0, y1, m0, m1 in ends]
+    return cubics(h, left.errors[:-1], right.errors[:-1], left.errors[1:], right.errors[1:])
 
 
 def _exceeds(problem: Problem, heights: Scalars, left: Scalars) -> Bool[Array, ""]:

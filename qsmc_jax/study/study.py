@@ -2,13 +2,13 @@
 
 import dataclasses
 import functools as ft
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind, require_list
+from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.short_repr import short_repr
@@ -68,7 +68,7 @@ class Study:
         scenario: A function `scenario(draw) -> Scenario`, pure and traceable by JAX.
         bandwidth: Bandwidth epsilon, rho_inf < epsilon < rho0 (C2), in units of the sliding variable.
         values: Numbers substituted for names, by name; see `substitute`.
-        metrics: Metrics of one's own, see `qj.metrics`: each is a column of every table of its runs.
+        metrics: A list of metrics of one's own, see `qj.metrics`: each is a column of every table of its runs.
         specs: What is known of each name; found by calling the scenario.
         nominal: The scenario with every distribution at its median.
         contents: Hashes of what it computes, by part, with all that it reads from outside.
@@ -92,7 +92,7 @@ class Study:
     scenario: Callable[[Draw], Scenario]
     bandwidth: float
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    metrics: Sequence[Any] = ()
+    metrics: Any = ()
     specs: tuple[DrawSpec, ...] = dataclasses.field(init=False)
     nominal: Scenario = dataclasses.field(init=False)
     contents: Contents = dataclasses.field(init=False)
@@ -107,13 +107,18 @@ class Study:
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
         require_finite("bandwidth", self.bandwidth)
         object.__setattr__(self, "specs", discover(ft.partial(_scenario_of, self.scenario))[0])
-        require_list("metrics", self.metrics)
+        is_list, found = isinstance(self.metrics, list | tuple), type(self.metrics).__name__
+        require(is_list, f"Argument `metrics` must be a list of metrics, but is a `{found}`: write [...] around it.")
         object.__setattr__(self, "metrics", tuple(self.metrics))
         self._take(self.values)
+        if self.metrics:
+            self._check_metrics()
+        object.__setattr__(self, "contents", contents(self.scenario, self.metrics))
+
+    def _check_metrics(self) -> None:
         start = signals_at_start(self.nominal.loop, self.nominal.x0)
         columns = [column for spec in self.specs for column in spec.columns]
         check_metrics(self.metrics, start, float(self.nominal.t1), [*TABLE_COLUMNS, *columns])
-        object.__setattr__(self, "contents", contents(self.scenario, tuple(self.metrics)))
 
     def _take(self, values: Mapping[str, Any]) -> None:
         """Checks the values and what the scenario makes of them, and keeps both."""
@@ -134,7 +139,7 @@ class Study:
     @property
     def made(self) -> Made:
         """The scenario with its contents: what its programs are known by."""
-        return Made(self.scenario, self.contents, tuple(self.metrics))
+        return Made(self.scenario, self.contents, self.metrics)
 
     @ft.cached_property
     def records(self) -> dict[str, Record]:
@@ -235,7 +240,7 @@ class Study:
             settings = settings.replace(method=method_for(own, self.stiffness, settings.method))
         ts, bandwidth = grid_of(ts, made.t1), as_float64(self.bandwidth)
         _, course = program(run_along, self.made)(settings, bandwidth, ts, self.numbers, point)
-        return trajectory(made.loop, bandwidth, ts, course, tuple(self.metrics))
+        return trajectory(made.loop, bandwidth, ts, course, self.metrics)
 
     def _stiffness_at(self, point: np.ndarray) -> Any:
         return program(stiffness_at, self.made)(self.numbers, point)

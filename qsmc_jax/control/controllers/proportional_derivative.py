@@ -4,9 +4,7 @@ from typing import ClassVar
 
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import (
-    require_finite,
-)
+from qsmc_jax.base.checks import require_finite
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample

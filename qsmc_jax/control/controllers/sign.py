@@ -5,10 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import (
-    require_nonnegative,
-    require_positive,
-)
+from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
