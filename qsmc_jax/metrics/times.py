@@ -49,11 +49,6 @@ class AbstractTime(AbstractOfSignals):
 
     may_jump: ClassVar[bool] = True
 
-    def value(self, signals: Any) -> Float[Array, ""]:
-        """Positive where it is so."""
-        found = jnp.asarray(self.of(signals))
-        return jnp.where(found, 1.0, -1.0) if found.dtype == bool else found.astype(float)
-
     def first(self, step: AbstractStep) -> _Change:
         no, zero = jnp.array(False), jnp.zeros(())
         return _Change(jax.tree.map(jnp.asarray, step.data), zero, zero, no, no, ~no)
