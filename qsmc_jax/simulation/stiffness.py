@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.precision import entry_point
@@ -72,8 +72,27 @@ def method_for(stiffness: float, nominal: float, asked_for: Method = "auto") -> 
     """
     if asked_for not in BY_STIFFNESS:
         return asked_for
-    is_stiff = nominal > EXPLICIT_UP_TO or stiffness > 3.0 * EXPLICIT_UP_TO
-    return "rodas5p" if is_stiff == (asked_for == "auto") else "tsit5"
+    return _of_two(is_stiff(stiffness, nominal), asked_for)
+
+
+def is_stiff(stiffness: Any, nominal: float) -> Any:
+    """Whether a run is stiff, or each of several: by its stiffness, and that of the nominal run of its study."""
+    return (nominal > EXPLICIT_UP_TO) | (stiffness > 3.0 * EXPLICIT_UP_TO)
+
+
+def rows_by_method(
+    stiffness: Float[np.ndarray, " runs"], nominal: float, asked_for: Method
+) -> list[tuple[str, Int[np.ndarray, " rows"]]]:
+    """The runs for each method, as `method_for` has it one by one, of all runs of a window at once."""
+    if asked_for not in BY_STIFFNESS:
+        return [(asked_for, np.arange(len(stiffness)))]
+    stiff = is_stiff(stiffness, nominal)
+    parts = [(_of_two(each, asked_for), np.flatnonzero(stiff == each)) for each in (True, False)]
+    return sorted((method, rows) for method, rows in parts if len(rows))
+
+
+def _of_two(stiff: Any, asked_for: Method) -> Method:
+    return "rodas5p" if stiff == (asked_for == "auto") else "tsit5"
 
 
 def with_method(

@@ -64,7 +64,8 @@ def monte_carlo(
     blocks = stream(
         study, range(runs), seed, sampling=sampling, settings=settings, block=block, threads=threads, progress=progress
     )
-    return concatenate(list(blocks))
+    tables = list(blocks)
+    return tables[0] if len(tables) == 1 else concatenate(tables)
 
 
 def stream(

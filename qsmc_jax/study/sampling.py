@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Key, UInt32
 
 from qsmc_jax.base.checks import is_whole, require, require_count
 from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.platforms import platform
 from qsmc_jax.base.precision import in_64_bits
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 Indices: TypeAlias = Sequence[int] | np.ndarray
 
-_BLOCK = 1024
+_BLOCK = 1024  # points made together at the least
 _HALF_CELL = 2.0**-53  # `jr.uniform` gives multiples of 2**-52; their cells' midpoints lie in the open interval
 _SOBOL_BITS = 32  # SciPy's `fast_forward` fails for more
 
@@ -70,7 +71,8 @@ class Random(AbstractSampling):
 
     def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
         wanted = _checked_indices(seed, indices, 2**63)
-        padded = np.resize(wanted, -(-wanted.size // _BLOCK) * _BLOCK).reshape(-1, _BLOCK)
+        size = max(_BLOCK, platform().block)
+        padded = np.resize(wanted, -(-wanted.size // size) * size).reshape(-1, size)
         with in_64_bits(), jax.threefry_partitionable(True):
             key = jr.key(seed, impl="threefry2x32")
             blocks = [_random_block(key, *_words(block), dim) for block in padded]

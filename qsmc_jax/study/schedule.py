@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 _PENALTY = 1e-6
 # Features from which on a product takes longer by one thread than the others would be in the way.
 _MANY_FEATURES = 500
+# Runs of one block from which is learned.
+_ENOUGH = 8192
 
 
 @dataclasses.dataclass
@@ -48,6 +50,8 @@ class Schedule:
 
     def learn(self, points: Float[np.ndarray, "runs dim"], steps: Int[np.ndarray, " runs"]) -> None:
         """Takes in runs that have been solved; those that took no step are passed over."""
+        every = max(1, -(-len(steps) // _ENOUGH))
+        points, steps = points[::every], steps[::every]
         taken = steps > 0
         features = _features(points[taken])
         self._gram += _product(features, features)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
+from qsmc_jax.simulation.stiffness import BY_STIFFNESS, rows_by_method
 from qsmc_jax.study.lanes import Lanes
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling
@@ -50,25 +50,22 @@ class Planner:
         block, dim = self._lanes.count, self._lanes.study.dimension
         chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
         chunked = [self._sampling.points(self._seed, chunk, dim) for chunk in chunks]
-        points, (methods, stiffness) = np.concatenate(chunked), self._methods(chunked)
+        points, stiffness, asked_for = np.concatenate(chunked), self._stiffness(chunked), self._lanes.settings.method
         parts = []
-        for method in map(str, np.unique(methods)):
-            rows = np.flatnonzero(methods == method)
-            rows = rows[self._schedules[method].order(points[rows], stiffness[rows])]
+        for method, rows in rows_by_method(stiffness, self._lanes.study.stiffness, asked_for):
+            if len(rows) > block:  # else they are solved together in any order
+                rows = rows[self._schedules[method].order(points[rows], stiffness[rows])]
             parts += [(method, rows[i : i + block]) for i in range(0, len(rows), block)]
         for number, (method, rows) in enumerate(parts):
             yield Piece(start + rows, indices[rows], points[rows], method, number == len(parts) - 1)
 
-    def _methods(self, chunked: list[Float[np.ndarray, "_ dim"]]) -> tuple[np.ndarray, np.ndarray]:
-        """The method for each run, and how stiff it will be if that has a say."""
-        runs, asked_for = sum(map(len, chunked)), self._lanes.settings.method
-        if asked_for not in BY_STIFFNESS:
-            return np.full(runs, asked_for), np.zeros(runs)
-        stiffness = np.concatenate([self._lanes.stiffness(points) for points in chunked])
-        nominal = self._lanes.study.stiffness
-        return np.array([method_for(each, nominal, asked_for) for each in stiffness]), stiffness
+    def _stiffness(self, chunked: list[Float[np.ndarray, "_ dim"]]) -> Float[np.ndarray, " runs"]:
+        """How stiff each run will be; 0 if that has no say."""
+        has_a_say = self._lanes.settings.method in BY_STIFFNESS
+        return np.concatenate([self._lanes.stiffness(each) if has_a_say else np.zeros(len(each)) for each in chunked])
 
 
 def reassembled(solved: list[tuple[np.ndarray, Runs]]) -> Runs:
     """The rows of a window in order."""
-    return concatenate([table for _, table in solved]).take(np.argsort(np.concatenate([rows for rows, _ in solved])))
+    together, rows = concatenate([table for _, table in solved]), np.concatenate([rows for rows, _ in solved])
+    return together if np.all(rows[1:] > rows[:-1]) else together.take(np.argsort(rows))
