@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from qsmc_jax.implementation.implementation import Jitter as Jitter
     from qsmc_jax.implementation.implementation import random_jitter as random_jitter
     from qsmc_jax.loop import ClosedLoop as ClosedLoop
+    from qsmc_jax.metrics.requirements import Requirement as Requirement
+    from qsmc_jax.metrics.requirements import always as always
+    from qsmc_jax.metrics.requirements import eventually as eventually
     from qsmc_jax.metrics.standard import Figures as Figures
+    from qsmc_jax.metrics.verdict import Verdict as Verdict
     from qsmc_jax.model import disturbances as disturbances
     from qsmc_jax.model import plants as plants
     from qsmc_jax.model import references as references
@@ -35,7 +39,6 @@ if TYPE_CHECKING:
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
     from qsmc_jax.model.references import AbstractReference as AbstractReference
     from qsmc_jax.simulation.outcome import Outcome as Outcome
-    from qsmc_jax.simulation.outcome import Verdict as Verdict
     from qsmc_jax.simulation.settings import SolverSettings as SolverSettings
     from qsmc_jax.simulation.settings import tight as tight
     from qsmc_jax.simulation.trajectory import Trajectory as Trajectory
@@ -86,8 +89,11 @@ _HOMES = {
     "AbstractPlant": "qsmc_jax.model.plants",
     "AbstractReference": "qsmc_jax.model.references",
     "Figures": "qsmc_jax.metrics.standard",
+    "always": "qsmc_jax.metrics.requirements",
+    "eventually": "qsmc_jax.metrics.requirements",
+    "Requirement": "qsmc_jax.metrics.requirements",
     "Outcome": "qsmc_jax.simulation.outcome",
-    "Verdict": "qsmc_jax.simulation.outcome",
+    "Verdict": "qsmc_jax.metrics.verdict",
     "SolverSettings": "qsmc_jax.simulation.settings",
     "tight": "qsmc_jax.simulation.settings",
     "Trajectory": "qsmc_jax.simulation.trajectory",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.verification.anytime import confidence_sequence, sequential_test
 from qsmc_jax.verification.stopping import AbstractRule, SequentialTest, UntilBelow, UntilWidth, decision_of
 

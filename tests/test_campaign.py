@@ -4,7 +4,7 @@ import json
 import sys
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -245,6 +245,14 @@ def test_replay_holds_a_run_against_its_row(tmp_path):
             replay(folder, RECIPE, index, worst)
 
 
+class _Figures(NamedTuple):
+    verdict: int
+    peak_ratio: float
+
+    def named(self):
+        return self._asdict()
+
+
 def replayed(monkeypatch, row, verdicts):
     """The replay of a row by solves whose verdicts and peaks are given by rung; and the runs solved, by rung."""
     rungs, solved = Rungs.of(study, RECIPE.settings).settings, {}
@@ -252,7 +260,7 @@ def replayed(monkeypatch, row, verdicts):
     def solve(recipe, row, settings):
         rung = next(k for k, each in enumerate(rungs) if (each.choices, each.rtol) == (settings.choices, settings.rtol))
         solved[rung] = object.__new__(Trajectory)
-        object.__setattr__(solved[rung], "figures", SimpleNamespace(verdict=verdicts[rung], peak_ratio=0.1 * rung))
+        object.__setattr__(solved[rung], "figures", _Figures(verdicts[rung], 0.1 * rung))
         return solved[rung]
 
     # The package re-exports the function by the name of its module.

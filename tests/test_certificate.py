@@ -99,7 +99,7 @@ def certified(monkeypatch, names, constraints, candidates=1, **options):
 def test_statements_agree_with_the_funnel_where_every_run_has_left(monkeypatch):
     constraints = ["violation <= 0.01", "worst(peak_u) <= 20", "least(margin) >= -1", "worst(rms_error) <= 1"]
     (made,) = certified(monkeypatch, ["left"] * 512, constraints)
-    assert [each.failed for each in made.guarantees] == [512] * 5
+    assert [each.violated for each in made.guarantees] == [512] * 5
     assert "false in 0" not in str(made)
     assert not made.is_granted
 
@@ -114,7 +114,7 @@ def test_intervals_share_the_risk_among_candidates_and_statements(monkeypatch, c
     high = binomtest(9, 199).proportion_ci(each, method="exact").high
     assert len(made) == candidates
     for guarantee in (guarantee for one in made for guarantee in one.guarantees):
-        assert (guarantee.failed, guarantee.undecided, guarantee.runs) == (6, 3, 199)
+        assert (guarantee.violated, guarantee.undecided, guarantee.total) == (6, 3, 199)
         assert (guarantee.low, guarantee.high) == pytest.approx((low, high), rel=1e-7)
 
 
@@ -127,7 +127,8 @@ def test_it_is_granted_by_the_upper_end_alone(monkeypatch):
 
 
 def test_every_statement_must_be_shown():
-    good, bad = (Guarantee("said", 0, 0, 100, 0.0, high) for high in (0.04, 0.06))
+    counts = {"held": 100, "violated": 0, "undecided": 0, "inadmissible": 0, "low": 0.0}
+    good, bad = (Guarantee("said", **counts, high=high) for high in (0.04, 0.06))
     made = qj.Certificate({"mu": 1.0}, 1, 100, 0.05, 0.95, (good, good), 1.0, 1.0)
     assert made.is_granted
     for guarantees in ((good, bad), (bad, good)):

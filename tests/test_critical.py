@@ -10,7 +10,7 @@ import pytest
 import scipy.stats
 
 import qsmc_jax as qj
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.verification.critical import plan_tests, search
 from tests.coin_study import study
 from tests.drawing import draws_in_given_axes

@@ -7,13 +7,15 @@ import pytest
 
 import qsmc_jax as qj
 from qsmc_jax.simulation.stiffness import method_for
-from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.tuning.certificate import certify
 from qsmc_jax.tuning.objectives import parse_constraint, parse_objective
 from qsmc_jax.verification.decided import through
 from qsmc_jax.verification.escalation import Escalation, breaches_bound
 from qsmc_jax.verification.rungs import Rungs
 from tests.coin_study import study as coin
+
+VERDICTS = ("verdict", "verdict_reaching", "verdict_tracking")
 
 SETTINGS = tuple(qj.SolverSettings(rtol=10.0**-k) for k in (4, 5, 6, 7))
 RUNGS = Rungs(SETTINGS, is_sampled=False)
@@ -44,7 +46,9 @@ RULES = {
 def table(index, rung, verdicts, **columns):
     """Rows of some runs as one rung gives them; `verdicts` is one text a claim, a letter a row."""
     index = np.asarray(index)
-    claims = {claim: np.array([CODES[letter] for letter in text]) for claim, text in zip(CLAIMS, verdicts, strict=True)}
+    claims = {
+        claim: np.array([CODES[letter] for letter in text]) for claim, text in zip(VERDICTS, verdicts, strict=True)
+    }
     about = {
         "outcome": np.where(claims["verdict"] == 2, int(qj.Outcome.MAX_STEPS), 0),
         "peak_ratio": np.full(len(index), (rung + 1) / 10.0),
@@ -87,7 +91,7 @@ def decide(funnel, reaching=None, tracking=None, peaks=None, *, parts=None, bloc
 def test_what_three_solves_decide_together(says, decided):
     rows, escalation, solves = decide([says])
     verdict, rung = decided
-    assert [int(rows[claim][0]) for claim in CLAIMS] == [CODES[verdict]] * 3
+    assert [int(rows[claim][0]) for claim in VERDICTS] == [CODES[verdict]] * 3
     assert [k for k, _ in solves.asked] == [k for k in (1, 2) if says[k] != "."]
     assert escalation.escalated == [int(says[k] != ".") for k in (1, 2)]
     if rung is None:
@@ -134,7 +138,7 @@ def test_only_open_runs_are_solved_again():
 
 def test_a_claim_in_conflict_is_undecided_alone():
     rows, _, solves = decide(["HHH"], reaching=["VHU"], tracking=["HHH"])
-    assert [int(rows[claim][0]) for claim in CLAIMS] == [0, 2, 0]
+    assert [int(rows[claim][0]) for claim in VERDICTS] == [0, 2, 0]
     assert [rung for rung, _ in solves.asked] == [1, 2]
     assert np.isfinite(rows["peak_ratio"][0])
 
@@ -148,24 +152,24 @@ def test_two_solves_by_one_method_do_not_outvote_another_method():
 
 def test_the_figures_are_of_the_last_solve_that_says_what_was_decided_of_the_funnel():
     rows, *_ = decide(["HHU"], reaching=["VHU"], tracking=["HHU"])
-    assert [int(rows[claim][0]) for claim in CLAIMS] == [0, 2, 0]
+    assert [int(rows[claim][0]) for claim in VERDICTS] == [0, 2, 0]
     assert rows["rung"][0] == 1
 
 
 def test_a_single_violated_later_claim_does_not_confirm_itself():
     rows, *_ = decide(["HHH"], reaching=["VUU"], tracking=["VVU"])
-    assert [int(rows[claim][0]) for claim in CLAIMS] == [0, 2, 1]
+    assert [int(rows[claim][0]) for claim in VERDICTS] == [0, 2, 1]
 
 
 def test_a_funnel_in_conflict_leaves_nothing_decided():
     rows, *_ = decide(["VHU"], reaching=["VVV"], tracking=["HHH"])
-    assert [int(rows[claim][0]) for claim in CLAIMS] == [2, 2, 2]
+    assert [int(rows[claim][0]) for claim in VERDICTS] == [2, 2, 2]
 
 
 def test_a_horizon_too_short_for_the_later_claims_is_no_doubt():
     rows, escalation, _ = decide(["H.."], reaching=["U.."], tracking=["U.."])
     assert escalation.escalated == [0, 0]
-    assert [int(rows[claim][0]) for claim in CLAIMS] == [0, 2, 2]
+    assert [int(rows[claim][0]) for claim in VERDICTS] == [0, 2, 2]
 
 
 def test_a_disputed_run_keeps_its_draws_and_no_figure():
@@ -242,7 +246,7 @@ def counted_by_certify():
     options = {"runs": 64, "seed": 1, "risk": 0.1, "confidence": 0.9, "settings": qj.SolverSettings(), "block": 64}
     objective, constraint = parse_objective("mean(energy_u)"), parse_constraint("worst(peak_u) <= 5")
     found = certify(coin, [({}, 0.0)], objective, (constraint,), **options, threads=1, progress=None)
-    return [(each.failed, each.undecided) for each in found[0].guarantees]
+    return [(each.violated, each.undecided) for each in found[0].guarantees]
 
 
 def counted_by_map():

@@ -61,7 +61,7 @@ def test_peaks_between_the_ends_of_long_stiff_steps_are_found():
     np.testing.assert_allclose(rough, fine, rtol=0, atol=5e-4)
 
 
-@pytest.mark.parametrize("claim", ["verdict", "verdict_reaching", "verdict_tracking"])
+@pytest.mark.parametrize("claim", ["funnel", "reaching", "tracking"])
 def test_every_claim_of_example1_holds(claim):
     table = qj.monte_carlo(narrowing(0.05), 64, block=64)
     assert table.counts(claim)[qj.Verdict.HELD] == 64

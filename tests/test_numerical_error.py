@@ -10,13 +10,15 @@ import scipy.stats
 
 import qsmc_jax as qj
 from qsmc_jax.cli.verify_command import _tell
-from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.verification.evidence import Effort, Evidence
 from qsmc_jax.verification.numerical_error import SAMPLE, Sample, recheck
 from qsmc_jax.verification.result import Claim
 from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import UntilBelow, decision_of
 from tests.coin_study import study
+
+VERDICTS = ("verdict", "verdict_reaching", "verdict_tracking")
 
 H, V, U = (int(verdict) for verdict in (qj.Verdict.HELD, qj.Verdict.VIOLATED, qj.Verdict.UNDECIDED))
 RUNGS = Rungs.of(study, qj.SolverSettings())
@@ -38,7 +40,7 @@ def rows(verdicts, **columns):
         "steps": np.full(len(index), 100),
         "rung": np.zeros(len(index), int),
     }
-    claims = dict.fromkeys(CLAIMS, verdicts)
+    claims = dict.fromkeys(VERDICTS, verdicts)
     return Runs({"index": index, "mass": index / 7.0, **claims, **figures, **columns}, ("mass",))
 
 
@@ -104,7 +106,7 @@ def test_each_run_is_checked_by_another_method_than_decided_it():
 def test_a_run_that_is_in_the_sample_and_among_the_worst_counts_once():
     before = rows([H, H])
     error, checks = recheck(concatenate([before, before]), solving(before), RUNGS)
-    assert (error.checked, checks[0].held) == (2, 2)
+    assert (error.checked, checks["funnel"].held) == (2, 2)
 
 
 def test_every_metric_is_compared():
@@ -125,7 +127,7 @@ def test_every_metric_is_compared():
         "recovery_time": (math.inf, math.inf),
         "rms_error": (math.inf, math.inf),
     }
-    assert not {"mass", "index", "steps", "rung", "outcome", *CLAIMS} & set(found)
+    assert not {"mass", "index", "steps", "rung", "outcome", *VERDICTS} & set(found)
 
 
 def test_the_metrics_that_changed_most_are_said_and_those_that_jump_come_last():
@@ -229,7 +231,9 @@ COUNTS = {
 
 @pytest.mark.parametrize(("counts", "check", "verdict"), COUNTS.values(), ids=COUNTS)
 def test_a_claim_is_held_only_if_every_admitted_run_held_and_nothing_changed(counts, check, verdict):
-    assert Claim("funnel", "", *counts, 5, 0.0, 1.0, *check).verdict.name == verdict
+    counted = dict(zip(("held", "violated", "undecided"), counts, strict=True))
+    claim = Claim("funnel", "", *check, **counted, inadmissible=5, low=0.0, high=1.0)
+    assert claim.verdict.name == verdict
 
 
 def test_a_stopping_rule_that_the_check_doubts_says_so():

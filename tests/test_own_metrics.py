@@ -133,7 +133,7 @@ class Wave(AbstractStep):
 @pytest.mark.parametrize("phase", [0.3, 1.0, 2.2, 3.0, 4.4])
 def test_peaks_and_valleys_inside_a_step_count(phase):
     step, x = Wave(jnp.array(phase)), np.sin(np.linspace(phase, phase + 3.0, 200_001))
-    view, of = View.of(step), lambda s: s.x[0]
+    view, of = View(step), lambda s: s.x[0]
     found = {
         kind: kind.read(kind.add(kind.first(step), view), step) for kind in (m.Peak("p", of), m.Variation("v", of))
     }

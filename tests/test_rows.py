@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.tuning.objectives import mean, parse_constraint, violation
 from qsmc_jax.tuning.rows import LOSS, counted, is_unknown, mean_loss, slopes
 

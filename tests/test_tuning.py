@@ -118,7 +118,7 @@ def test_no_certificate_for_what_fails_and_the_risk_of_all_designs_is_shared():
     assert "NOT CERTIFIED" in tuned.conclusion()
     assert [each.seed for each in tuned.certificates] == [1, 3]
     for each in tuned.certificates:
-        assert each.guarantees[0].failed > 0
+        assert each.guarantees[0].violated > 0
         assert each.guarantees[0].low < RARE < each.guarantees[0].high
         assert each.objective == np.inf
 

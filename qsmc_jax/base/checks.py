@@ -16,6 +16,15 @@ from jax.core import Tracer
 from qsmc_jax.base.errors import InputError
 
 
+def is_hashable(value: Any) -> bool:
+    """Whether a value has a hash."""
+    try:
+        hash(value)
+    except TypeError:
+        return False
+    return True
+
+
 def is_traced(*values: Any) -> bool:
     """Whether any of the values (leaves of pytrees) is a tracer."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))

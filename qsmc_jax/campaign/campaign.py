@@ -136,7 +136,7 @@ def run_campaign(
                 )
                 if progress is not None:
                     progress(done, runs)
-                decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
+                decision = decision_of(until, evidence.summary.counts["funnel"], confidence)
                 if decision is not None:
                     break
         state = "done" if decision is not None or evidence.runs >= runs else "interrupted"

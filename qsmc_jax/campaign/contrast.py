@@ -7,7 +7,7 @@ import numpy as np
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.campaign.folder import RunFolder
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import Runs, concatenate
 
 # Rows that are held against each other, and runs that are listed.

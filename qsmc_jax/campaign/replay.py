@@ -1,6 +1,7 @@
 """One run of a campaign again, in full, and held against its recorded row."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import Recipe
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.metrics.claims import claims_of, require_claim, verdict_column
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.trajectory import Trajectory
 from qsmc_jax.study.runs import Runs
@@ -42,7 +45,7 @@ class Replay:
         return f"{self.trajectory}\n{found}{'it agrees' if self.agrees else 'IT DOES NOT AGREE'}"
 
 
-def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | None) -> Replay:
+def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | None, of: str | None = None) -> Replay:
     """Solves a run again.
 
     Args:
@@ -50,12 +53,13 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         recipe: Its recipe.
         index: Index of the run; or else
         worst: which of the worst runs, from 1.
+        of: The claim by which runs are the worst; None for the funnel, and of equals the requirements.
 
     Returns:
         The run, and whether it came out as recorded; `print` it.
 
     Raises:
-        InputError: Not exactly one of the two is given, or there is no such row.
+        InputError: Not exactly one of the two is given, or there is no such row, or no such claim.
 
     Examples:
         >>> import pathlib
@@ -71,7 +75,11 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         True
     """
     require((index is None) != (worst is None), "One of `--run` and `--worst` must say which run.")
-    row = _row(folder, index) if index is not None else _worst(folder, worst or 0)
+    require(
+        of is None or worst is not None,
+        "Argument `--of` names the claim by which runs are the worst: it needs `--worst`.",
+    )
+    row = _row(folder, index) if index is not None else _worst(folder, worst or 0, of)
     rungs = Rungs.of(recipe.study, recipe.settings)
     if row["outcome"] == Outcome.SOLVES_DISAGREE:
         tried = [_solved(recipe, row, rungs.settings[rung]) for rung in range(RUNGS)]
@@ -81,7 +89,14 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
     run = _solved(recipe, row, rungs.settings[int(row["rung"])])
     close = 1e-9 + _AGREEMENT * float(recipe.settings.rtol)
     is_near = np.isclose(float(run.figures.peak_ratio), row["peak_ratio"], rtol=close, equal_nan=True)
-    return Replay(run, row, bool(is_near) and int(run.figures.verdict) == row["verdict"])
+    return Replay(run, row, bool(is_near) and _is_decided_alike(run.figures.named(), row))
+
+
+def _is_decided_alike(found: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
+    """Whether the verdicts are those of the row; but for the funnel's, where those of the row were decided by it."""
+    columns = [verdict_column(claim) for claim in claims_of(row)]
+    is_asked = [column == "verdict" or row[column] != Verdict.UNDECIDED for column in columns]
+    return all(int(found[column]) == row[column] for column, asked in zip(columns, is_asked, strict=True) if asked)
 
 
 def _solved(recipe: Recipe, row: dict[str, Any], settings: SolverSettings) -> Trajectory:
@@ -95,10 +110,11 @@ def _row(folder: RunFolder, index: int) -> dict[str, Any]:
     raise InputError(f"Argument `--run` must be a run that is there, but `{folder.path}` has no row {index}.")
 
 
-def _worst(folder: RunFolder, rank: int) -> dict[str, Any]:
+def _worst(folder: RunFolder, rank: int, claim: str | None) -> dict[str, Any]:
     require_count("--worst", rank)
     kept: list[Runs] = []
     for table in folder.tables():
-        kept = [worst_of([*kept, table], rank)]
+        require_claim("--of", claim or "funnel", table.claims)
+        kept = [worst_of([*kept, table], rank, claim)]
     require(bool(kept) and len(kept[0]) >= rank, f"Argument `--worst` is {rank}, but `{folder.path}` has fewer rows.")
     return kept[0].row(rank - 1)

@@ -49,6 +49,7 @@ def show_run(
     run: Folder,
     index: Annotated[int | None, typer.Option("--run", help="Index of the run.")] = None,
     worst: Annotated[int | None, typer.Option(help="The k-th worst run instead, from 1.")] = None,
+    of: Annotated[str | None, typer.Option(help="Claim by which runs are the worst, such as a requirement.")] = None,
     study: Study = None,
     out: Out = None,
     as_json: Json = False,
@@ -63,7 +64,7 @@ def show_run(
 
         folder = RunFolder.open(run)
         with waiting("solving"):
-            again = replay(folder, recipe_again(folder, study), index, worst)
+            again = replay(folder, recipe_again(folder, study), index, worst, of)
         numbers = {**figures_as_numbers(again.trajectory), "recorded": again.row, "agrees": again.agrees}
         say_json(numbers) if as_json else say(str(again))
         if out:

@@ -35,6 +35,8 @@ from qsmc_jax.cli.progress import progress_bar, waiting
 from qsmc_jax.cli.session import session
 from qsmc_jax.cli.study_file import Source, load_studies, load_study
 
+Claim = Annotated[str, typer.Option("--of", help="Claim: funnel, reaching, tracking, or a requirement of the study.")]
+
 _GRID = "NAME=LO:HI:log|lin:N"
 
 
@@ -53,6 +55,7 @@ def map_robustness(
     runs: Annotated[int, typer.Option(help="Runs of each cell, the same in all.")] = 1000,
     seed: Seed = 0,
     confidence: Together = 0.95,
+    of: Claim = "funnel",
     overrides: Overrides = None,
     out: Out = None,
     as_json: Json = False,
@@ -65,7 +68,7 @@ def map_robustness(
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
-    """Map the probability of leaving the funnel over a grid of one or two names of a study.
+    """Map the probability of violating a claim over a grid of one or two names of a study.
 
     Exit codes: 0 done, 2 bad input, 3 interrupted.
     """
@@ -84,7 +87,7 @@ def map_robustness(
         settings = SolverSettings(rtol, atol, max_steps, method)
 
         def work(progress: Any) -> Any:
-            options = {"settings": settings, "block": block, "threads": threads, "progress": progress}
+            options = {"claim": of, "settings": settings, "block": block, "threads": threads, "progress": progress}
             return robustness_map(study, grids, runs, seed, confidence, **options)
 
         _deliver("map", source, out, as_json, work, lambda found: found.plot(dimensionless=dimensionless))
@@ -100,6 +103,7 @@ def find_critical(
     side: Annotated[Literal["largest", "smallest"] | None, typer.Option(help="Default: what the ends say.")] = None,
     steps: Annotated[int, typer.Option(help="Values tested after the two ends.")] = 12,
     budget: Annotated[int | None, typer.Option(help="Most runs of a test; default 4 times the fewest.")] = None,
+    of: Claim = "funnel",
     seed: Seed = 0,
     confidence: Together = 0.95,
     overrides: Overrides = None,
@@ -113,7 +117,7 @@ def find_critical(
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
-    """Search the last value of a name at which the probability of leaving the funnel is shown to be small.
+    """Search the last value of a name at which the probability of violating a claim is shown to be small.
 
     Exit codes: 0 found, 2 bad input, 3 nothing could be shown, or interrupted.
     """
@@ -128,7 +132,7 @@ def find_critical(
         def work(progress: Any) -> Any:
             options = {"confidence": confidence, "seed": seed, "steps": steps, "budget_per_test": budget}
             solving = {"settings": settings, "block": block, "threads": threads, "progress": progress}
-            return critical_value(study, name, below, between=ends, side=side, **options, **solving)
+            return critical_value(study, name, below, between=ends, side=side, claim=of, **options, **solving)
 
         found = _deliver("critical", source, out, as_json, work, lambda result: result.plot())
     raise typer.Exit(HELD if found.is_found else UNDECIDED)

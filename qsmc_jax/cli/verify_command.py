@@ -245,10 +245,15 @@ def _tell(
 
 def finding(row: dict[str, Any]) -> str:
     """One run in half a line: how close it came, or when it left and how the premises fared."""
-    from qsmc_jax.simulation.outcome import Outcome, Verdict
+    from qsmc_jax.metrics.claims import told_of_breaches
+    from qsmc_jax.metrics.verdict import Verdict
+    from qsmc_jax.simulation.outcome import Outcome
+
+    breaches = told_of_breaches(row)
+    told = f", {breaches}" if breaches else ""
 
     if row["verdict"] == Verdict.HELD:
-        return f"sup |sigma|/rho {row['peak_ratio']:.6f}, sup |u| {row['peak_u']:.4g}"
+        return f"sup |sigma|/rho {row['peak_ratio']:.6f}, sup |u| {row['peak_u']:.4g}{told}"
     if row["verdict"] == Verdict.VIOLATED:
         premises = f"least gain_sign * g {row['least_gain']:.3g}, largest |d| {row['largest_disturbance']:.3g}"
         return f"left the funnel at {row['violation_time']:.6g} s, {premises}"

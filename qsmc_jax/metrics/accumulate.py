@@ -1,56 +1,43 @@
-"""The metrics of a study, kept up together over a run."""
+"""What is kept of a run for the measures of its study, all together."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from qsmc_jax.base import trees
-from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.metrics.metric import AbstractMetric, View
+from qsmc_jax.metrics.metric import AbstractKept, AbstractMeasure, Extent, View
 from qsmc_jax.metrics.signals import AbstractStep
 
-# What is kept of each metric, by its name.
-States = dict[str, Any]
+# What is kept for each measure, by its name: once for each of its parts.
+States = dict[str, tuple[Any, ...]]
 
 
-def first_states(metrics: Sequence[AbstractMetric], step: AbstractStep) -> States:
+def first_states(measures: Sequence[AbstractMeasure], step: AbstractStep) -> States:
     """What is kept before the first step, given one of no length at the start."""
-    return {metric.name: jax.tree.map(_as_float, metric.first(step)) for metric in metrics}
+    return {each.name: tuple(jax.tree.map(_as_float, part.first(step)) for part in each.parts) for each in measures}
 
 
-def add_step(metrics: Sequence[AbstractMetric], states: States, step: AbstractStep) -> States:
+def add_step(measures: Sequence[AbstractMeasure], states: States, step: AbstractStep) -> States:
     """What is kept after one more step; no window begins or ends inside it."""
-    if not metrics:
-        return states
-    view = View.of(step)
-    middle, has_length = 0.5 * (step.t0 + step.t1), jnp.asarray(step.t1 > step.t0)
+    view = View(step)
 
-    def added(metric: AbstractMetric, state: Any) -> Any:
-        is_inside = has_length & (middle > metric.after) & (middle < metric.before)
-        new = jax.tree.map(_as_float, metric.add(_typed(metric, state, step), view))
-        return trees.where(is_inside, new, state)
+    def added(part: AbstractKept, state: Any) -> Any:
+        return jax.tree.map(_as_float, part.add_if_inside(_typed(part, state, step), view))
 
-    return {metric.name: added(metric, states[metric.name]) for metric in metrics}
+    return {each.name: tuple(map(added, each.parts, states[each.name])) for each in measures}
 
 
 def read_states(
-    metrics: Sequence[AbstractMetric], states: States, step: AbstractStep, horizon: RealScalarLike, is_complete: Any
-) -> dict[str, Float[Array, ""]]:
-    """The metrics by their names: NaN of a run that was not completed, or ended before the window did."""
-
-    def known(metric: AbstractMetric) -> Bool[Array, ""]:
-        # A window without an end is up to the horizon.
-        is_whole = horizon > metric.after if math.isinf(metric.before) else horizon >= metric.before
-        return is_complete & is_whole
-
-    return {
-        metric.name: jnp.where(known(metric), metric.read(_typed(metric, states[metric.name], step), step), jnp.nan)
-        for metric in metrics
-    }
+    measures: Sequence[AbstractMeasure], states: States, step: AbstractStep, extent: Extent
+) -> dict[str, Array]:
+    """The columns of the measures, by their names."""
+    columns: dict[str, Array] = {}
+    for each in measures:
+        kept = (_typed(part, state, step) for part, state in zip(each.parts, states[each.name], strict=True))
+        columns.update(each.report(tuple(kept), step, extent))
+    return columns
 
 
 def _as_float(leaf: Any) -> Float[Array, "..."]:
@@ -58,8 +45,7 @@ def _as_float(leaf: Any) -> Float[Array, "..."]:
     return jnp.asarray(leaf).astype(float)
 
 
-def _typed(metric: AbstractMetric, state: Any, step: AbstractStep) -> Any:
+def _typed(part: AbstractKept, state: Any, step: AbstractStep) -> Any:
     """The state with the types that it had at first."""
-    return jax.tree.map(
-        lambda leaf, at_first: leaf.astype(at_first.dtype), state, jax.eval_shape(lambda: metric.first(step))
-    )
+    at_first = jax.eval_shape(lambda: part.first(step))
+    return jax.tree.map(lambda leaf, first: leaf.astype(first.dtype), state, at_first)

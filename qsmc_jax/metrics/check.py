@@ -1,6 +1,7 @@
-"""Whether metrics of one's own can be kept up at all, and what they compute, said before anything is solved."""
+"""Whether what a study asks of its runs can be kept up at all, and what it computes, said before any is solved."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
@@ -8,13 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qsmc_jax.base.checks import nearest, require, require_kind
+from qsmc_jax.base.checks import is_hashable, nearest, require
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.names import require_name
 from qsmc_jax.base.programs import Program
 from qsmc_jax.base.traceable import require_number, trace
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.metrics.metric import AbstractMetric, AbstractOfSignals, View
+from qsmc_jax.metrics.claims import require_no_claim
+from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, AbstractMetric, Extent, View
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 
@@ -34,73 +36,103 @@ class _Straight(AbstractStep):
         return jax.tree.map(lambda a, b: a + theta * (b - a), *self.data)
 
 
-def check_metrics(metrics: Sequence[Any], start: Signals, horizon: float, taken: Collection[str]) -> None:
-    """Raises unless metrics of a study can be kept up.
+def check_measures(measures: Sequence[AbstractMeasure], start: Signals, horizon: float, taken: Collection[str]) -> None:
+    """Raises unless the metrics and requirements of a study can be kept up.
 
     Args:
-        metrics: The metrics.
+        measures: Metrics and requirements.
         start: The signals at the start of the nominal run.
-        horizon: Its horizon [s].
+        horizon: The longest horizon of any run [s].
         taken: Names that columns have already.
 
     Raises:
-        InputError: A metric is none, its name is taken, its window lies beyond the horizon, or its function does not
-            make one number of the signals.
+        InputError: A name is taken, a window lies beyond the horizon, or a function does not make one number of the
+            signals.
     """
     names = set(taken)
-    for metric in metrics:
-        require_kind("metrics", metric, AbstractMetric, "Use those of `qj.metrics`, such as `qj.metrics.Peak`.")
-        require_name(metric.name)
-        require(
-            metric.name not in names,
-            f"Argument `name` of a metric must be new, but `{metric.name}` is the name of a column already.",
-        )
-        names.add(metric.name)
-        require(
-            metric.after < horizon,
-            f"Argument `after` of metric `{metric.name}` must lie before the horizon, {horizon:g} s, but is "
-            f"{metric.after:g} s.",
-        )
-        try:
-            hash(metric)
-        except TypeError:
-            raise InputError(
-                f"Metric `{metric.name}` must be made of plain functions, by which programs are kept, but has no hash. "
-                "Close over numbers, `lambda s: abs(s.u) - limit`, instead of `eqx.Partial`."
-            ) from None
-        program_of(metric, len(start.x))
-        if isinstance(metric, AbstractOfSignals):
-            value = float(np.asarray(metric.of(start), float))
+    for measure in measures:
+        require_name(measure.name)
+        require_no_claim(measure.name)
+        for column in (record.name for record in measure.records):
             require(
-                not np.isnan(value),
-                f"Function `of` of metric `{metric.name}` must return a number, but returns nan at the start of the "
-                "nominal run. Keep it defined wherever a run may be, say by `jnp.where`.",
+                column not in names,
+                f"Argument `name` of a {kind_of(measure)} must be new, but `{column}` is the name of a column already.",
             )
+            names.add(column)
+        for part in measure.parts:
+            _check_part(measure, part, start, horizon)
 
 
-def record_in(metric: AbstractMetric, order: int) -> Record:
-    """The record of a metric in a study; what is true or false has no derivative.
+def kind_of(measure: AbstractMeasure) -> str:
+    """What users call it."""
+    return "metric" if isinstance(measure, AbstractMetric) else "requirement"
+
+
+def _check_part(measure: AbstractMeasure, part: AbstractKept, start: Signals, horizon: float) -> None:
+    """Raises unless a part of a measure can be kept up."""
+    kind, name = kind_of(measure), measure.name
+    require(
+        part.after < horizon,
+        f"Argument `after` of {kind} `{name}` must lie before the horizon, {horizon:g} s, but is {part.after:g} s.",
+    )
+    require(
+        part.before <= horizon or math.isinf(part.before),
+        f"Argument `before` of {kind} `{name}` must not lie beyond the horizon, {horizon:g} s, but is {part.before:g} "
+        "s: leave it out for the horizon, or make `t1` longer.",
+    )
+    require(
+        is_hashable(part),
+        f"{kind.capitalize()} `{name}` must be made of plain functions, by which programs are kept, but has no hash. "
+        "Close over numbers, `lambda s: abs(s.u) - limit`, instead of `eqx.Partial`.",
+    )
+    program_of(measure, part, len(start.x))
+    if isinstance(part, AbstractFunction):
+        value = float(np.asarray(part.of(start), float))
+        require(
+            not np.isnan(value),
+            f"Function `of` of {kind} `{name}` must return a number, but returns nan at the start of the nominal run. "
+            "Keep it defined wherever a run may be, say by `jnp.where`.",
+        )
+
+
+def records_in(measure: AbstractMeasure, order: int) -> dict[str, Record]:
+    """The records of a measure in a study, by column; what is true or false has no derivative.
 
     Args:
-        metric: The metric, checked.
+        measure: The measure, checked.
         order: Order of the plant.
     """
-    is_claim = isinstance(metric, AbstractOfSignals) and jax.eval_shape(metric.of, _stand_ins(order)).dtype == bool
-    return dataclasses.replace(metric.record, has_gradient=metric.has_gradient and not is_claim)
+    is_claim = any(isinstance(part, AbstractFunction) and _is_claim(part, order) for part in measure.parts)
+    known = measure.records
+    return {each.name: dataclasses.replace(each, has_gradient=each.has_gradient and not is_claim) for each in known}
 
 
-def program_of(metric: AbstractMetric, order: int) -> Program:
-    """The program of what the user wrote of a metric.
+def program_of(measure: AbstractMeasure, part: AbstractKept, order: int) -> Program:
+    """The program of what the user wrote of a part of a measure.
 
     Args:
-        metric: The metric.
+        measure: The measure.
+        part: The part.
         order: Order of the plant.
     """
-    if not isinstance(metric, AbstractOfSignals):
-        return _traced(f"Metric `{metric.name}`", lambda *ends: _once(metric, _Straight(ends)), order, 2)
-    what = f"Function `of` of metric `{metric.name}`"
-    require(callable(metric.of), f"{what} must be a function of the signals, but is {metric.of!r}.")
-    return _traced(what, lambda now: _result(what, metric.of(now)), order, 1)
+    kind = kind_of(measure)
+    if not isinstance(part, AbstractFunction):
+        named = f"{kind.capitalize()} `{measure.name}`"
+        return _traced(named, lambda *ends: _once(named, measure, part, _Straight(ends)), order, 2)
+    what = f"Function `of` of {kind} `{measure.name}`"
+    require(callable(part.of), f"{what} must be a function of the signals, but is {part.of!r}.")
+    program = _traced(what, lambda now: _result(what, part.of(now)), order, 1)
+    is_answer = kind == "requirement" and _is_claim(part, order)
+    require(
+        not is_answer,
+        f"{what} must return a number that is positive where it is as it should be, but returns true or false. Write "
+        "`limit - abs(s.u)` instead of `abs(s.u) < limit`.",
+    )
+    return program
+
+
+def _is_claim(part: AbstractFunction, order: int) -> bool:
+    return jax.eval_shape(part.of, _stand_ins(order)).dtype == bool
 
 
 def _traced(what: str, call: Callable[..., Any], order: int, instants: int) -> Program:
@@ -133,10 +165,11 @@ def _result(what: str, result: Any) -> Any:
     return result
 
 
-def _once(metric: AbstractMetric, step: AbstractStep) -> Any:
-    """The metric after one step."""
-    state, view = metric.first(step), View.of(step)
-    kept = metric.add(state, view)
+def _once(named: str, measure: AbstractMeasure, part: AbstractKept, step: AbstractStep) -> Any:
+    """The measure after one step."""
+    state = part.first(step)
+    kept = part.add(state, View(step))
     before, after = (jax.tree.map(jnp.shape, each) for each in (state, kept))
-    require(before == after, f"Metric `{metric.name}` must keep what `start` returns, {before}, but makes it {after}.")
-    return jnp.asarray(metric.read(kept, step))
+    require(before == after, f"{named} must keep what `start` returns, {before}, but makes it {after}.")
+    extent = Extent(jnp.ones(()), jnp.ones(()), jnp.array(True), jnp.array(True), jnp.zeros(()))
+    return jnp.asarray(measure.report((kept,), step, extent)[measure.name])

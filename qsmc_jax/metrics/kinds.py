@@ -11,15 +11,16 @@ from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.metric import WEIGHTS, AbstractMetric, AbstractOfSignals, View
 from qsmc_jax.metrics.record import Worse
 from qsmc_jax.metrics.signals import AbstractStep, Signals
+from qsmc_jax.metrics.summit import summit
 
 
 @dataclasses.dataclass(frozen=True)
 class Peak(AbstractOfSignals):
     """The supremum of a function of the signals over its window; of |x|, give `lambda s: jnp.abs(s.x[0])`.
 
-    Good to 1e-5 relative to the size of the function, as `peak_ratio` is, where it is smooth within a step. The loop's
-    signals choose the steps: what the function alone has of time, if shorter than a step, may be missed. The infimum is
-    minus the peak of minus the function.
+    Good to 1e-5 relative to the size of the function, as `peak_ratio` is, at kinks such as those of `abs` too. The
+    loop's signals choose the steps: what the function alone has of time, if shorter than a step, may be missed. The
+    infimum is minus the peak of minus the function.
 
     Examples:
         >>> import jax.numpy as jnp
@@ -38,7 +39,7 @@ class Peak(AbstractOfSignals):
         return jnp.full((), -jnp.inf)
 
     def add(self, state: Float[Array, ""], view: View) -> Float[Array, ""]:
-        return jnp.maximum(state, self.highest(view)[1])
+        return jnp.maximum(state, summit(self.value, view).height)
 
     def read(self, state: Float[Array, ""], step: AbstractStep) -> RealScalarLike:
         return state
@@ -143,9 +144,9 @@ class Variation(AbstractOfSignals):
         return _Course(jnp.zeros(()), jnp.zeros(()), jnp.array(False))
 
     def add(self, state: _Course, view: View) -> _Course:
-        values, lowest = self.values(view), dataclasses.replace(self, of=lambda signals: -self.value(signals))
-        ups = self.highest(view)[1] - values.max()
-        downs = lowest.highest(view)[1] + values.min()
+        values = self.values(view)
+        ups = summit(self.value, view).height - values.max()
+        downs = summit(lambda signals: -self.value(signals), view).height + values.min()
         jump = jnp.where(state.has_begun, jnp.abs(values[0] - state.last), 0.0)
         change = jnp.abs(jnp.diff(values)).sum() + 2.0 * (ups + downs)
         return _Course(state.total + jump + change, values[-1], jnp.array(True))

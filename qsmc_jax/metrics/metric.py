@@ -10,14 +10,14 @@ import functools as ft
 import math
 from collections.abc import Callable
 from numbers import Real
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from qsmc_jax.base import trees
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.trees import stop_gradient
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.record import Record, Worse
 from qsmc_jax.metrics.signals import AbstractStep, Signals
@@ -26,8 +26,6 @@ from qsmc_jax.metrics.signals import AbstractStep, Signals
 _INNER = 0.5 * (1.0 - math.sqrt(3.0 / 7.0))
 NODES = (0.0, _INNER, 0.5, 1.0 - _INNER, 1.0)
 WEIGHTS = (1.0 / 20.0, 49.0 / 180.0, 16.0 / 45.0, 49.0 / 180.0, 1.0 / 20.0)
-# Part of a step in which a peak is looked for once more.
-_NEAR = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,16 +34,19 @@ class View:
 
     Attributes:
         step: The step.
-        nodes: The signals at `NODES`, each with the nodes as its first axis.
     """
 
     step: AbstractStep
-    nodes: Signals
 
-    @classmethod
-    def of(cls, step: AbstractStep) -> "View":
-        """The view of a step."""
-        return cls(step, jax.vmap(step.at)(jnp.array(NODES)))
+    @ft.cached_property
+    def nodes(self) -> Signals:
+        """The signals at `NODES`, each with the nodes as its first axis."""
+        return jax.vmap(self.step.at)(jnp.array(NODES))
+
+    @ft.cached_property
+    def rates(self) -> Signals:
+        """Their derivatives by the place in the step."""
+        return jax.vmap(lambda place: jax.jvp(self.step.at, (place,), (jnp.ones(()),))[1])(jnp.array(NODES))
 
     @property
     def length(self) -> RealScalarLike:
@@ -53,44 +54,80 @@ class View:
         return self.step.t1 - self.step.t0
 
 
-@dataclasses.dataclass(frozen=True)
-class AbstractMetric(abc.ABC):
-    """One number of a run: a column of its table.
-
-    Runs that were not followed to the end of the window have none, NaN.
+class Extent(NamedTuple):
+    """How far a run was followed, and how closely.
 
     Attributes:
-        name: Name of the column.
-        unit: Its unit, "-" for a pure number.
-        after: Where the window begins [s].
-        before: Where it ends [s]; `inf` for the horizon.
-        meaning: What it is, in a sentence.
+        time: When it ended [s].
+        horizon: When it should have [s].
+        is_complete: Whether it was solved up to there.
+        is_admitted: Whether the premises held, so that it was begun.
+        resolution: By what part of their size signals may be wrong.
+    """
+
+    time: RealScalarLike
+    horizon: RealScalarLike
+    is_complete: Bool[Array, ""]
+    is_admitted: Bool[Array, ""]
+    resolution: RealScalarLike
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractMeasure(abc.ABC):
+    """What a study wants to know of each run: one or more columns of its tables.
+
+    Attributes:
+        name: Its name, unlike any other in the study.
     """
 
     name: str
-    unit: str = dataclasses.field(default="", kw_only=True)
-    after: float = dataclasses.field(default=0.0, kw_only=True)
-    before: float = dataclasses.field(default=math.inf, kw_only=True)
-    meaning: str = dataclasses.field(default="", kw_only=True)
-
-    has_gradient: ClassVar[bool] = True
-    may_jump: ClassVar[bool] = False
-    worse: ClassVar[Worse | None] = None
-
-    def __post_init__(self):
-        window = (self.after, self.before)
-        is_window = all(isinstance(end, Real) for end in window) and 0.0 <= self.after < self.before
-        require(
-            is_window,
-            f"Arguments `after` and `before` of `{self.name}` must be a window of times, 0 <= after < before, but are "
-            f"{self.after!r} and {self.before!r}.",
-        )
 
     @property
-    def record(self) -> Record:
-        """What tables, files and pictures say of it."""
-        about = {"has_gradient": self.has_gradient, "may_jump": self.may_jump, "worse": self.worse}
-        return Record(self.name, self.meaning or f"{type(self).__name__} of the study", self.unit, **about)
+    @abc.abstractmethod
+    def records(self) -> tuple[Record, ...]:
+        """What tables, files and pictures say of its columns."""
+
+    @property
+    @abc.abstractmethod
+    def parts(self) -> "tuple[AbstractKept, ...]":
+        """What has to be kept of a run for it."""
+
+    @property
+    @abc.abstractmethod
+    def form(self) -> str:
+        """What it makes of its parts, in a text that no other measure of these parts has."""
+
+    @abc.abstractmethod
+    def report(self, kept: tuple[Any, ...], step: AbstractStep, extent: Extent) -> dict[str, Array]:
+        """Its columns.
+
+        Args:
+            kept: What was kept in the end, for each of its parts.
+            step: Any step; with other data it is another one.
+            extent: How far the run was followed.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractKept(abc.ABC):
+    """Something that is kept of a run over a window of time, step by step.
+
+    Attributes:
+        after: Where the window begins [s].
+        before: Where it ends [s]; `inf` for the horizon.
+    """
+
+    after: float = dataclasses.field(default=0.0, kw_only=True)
+    before: float = dataclasses.field(default=math.inf, kw_only=True)
+
+    def __post_init__(self):
+        window, name = (self.after, self.before), getattr(self, "name", "of")
+        is_window = all(isinstance(end, Real) for end in window) and 0.0 <= self.after < self.before
+        require(
+            bool(is_window),
+            f"Arguments `after` and `before` of `{name}` must be a window of times, 0 <= after < before, but are "
+            f"{self.after!r} and {self.before!r}.",
+        )
 
     @abc.abstractmethod
     def first(self, step: AbstractStep) -> Any:
@@ -109,6 +146,59 @@ class AbstractMetric(abc.ABC):
             view: The step.
         """
 
+    def add_if_inside(self, state: Any, view: View) -> Any:
+        """What is kept after one more step, in which the window neither begins nor ends."""
+        step = view.step
+        middle, has_length = 0.5 * (step.t0 + step.t1), jnp.asarray(step.t1 > step.t0)
+        is_inside = has_length & (middle > self.after) & (middle < self.before)
+        return trees.where(is_inside, self.add(state, view), state)
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractMetric(AbstractKept, AbstractMeasure):
+    """One number of a run: a column of its table.
+
+    Runs that were not followed to the end of the window have none, NaN.
+
+    Attributes:
+        name: Name of the column.
+        unit: Its unit, "-" for a pure number.
+        after: Where the window begins [s].
+        before: Where it ends [s]; `inf` for the horizon.
+        meaning: What it is, in a sentence.
+    """
+
+    unit: str = dataclasses.field(default="", kw_only=True)
+    meaning: str = dataclasses.field(default="", kw_only=True)
+
+    has_gradient: ClassVar[bool] = True
+    may_jump: ClassVar[bool] = False
+    worse: ClassVar[Worse | None] = None
+
+    @property
+    def record(self) -> Record:
+        """What tables, files and pictures say of it."""
+        about = {"has_gradient": self.has_gradient, "may_jump": self.may_jump, "worse": self.worse}
+        return Record(self.name, self.meaning or f"{type(self).__name__} of the study", self.unit, **about)
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        return (self.record,)
+
+    @property
+    def parts(self) -> tuple[AbstractKept, ...]:
+        return (self,)
+
+    @property
+    def form(self) -> str:
+        return type(self).__name__
+
+    def report(self, kept: tuple[Any, ...], step: AbstractStep, extent: Extent) -> dict[str, Array]:
+        # A window without an end is up to the horizon.
+        horizon = extent.horizon
+        is_whole = horizon > self.after if math.isinf(self.before) else horizon >= self.before
+        return {self.name: jnp.where(extent.is_complete & is_whole, self.read(kept[0], step), jnp.nan)}
+
     @abc.abstractmethod
     def read(self, state: Any, step: AbstractStep) -> RealScalarLike:
         """The metric.
@@ -120,8 +210,8 @@ class AbstractMetric(abc.ABC):
 
 
 @dataclasses.dataclass(frozen=True)
-class AbstractOfSignals(AbstractMetric):
-    """A metric of a function of the signals at one instant.
+class AbstractFunction(AbstractKept):
+    """What is kept of a function of the signals at one instant.
 
     Attributes:
         of: The function, `of(signals)`, written with `jax.numpy`; see `Signals`.
@@ -141,25 +231,11 @@ class AbstractOfSignals(AbstractMetric):
         """The function at a place in a step."""
         return self.value(step.at(theta))
 
-    def highest(self, view: View) -> tuple[RealScalarLike, Float[Array, ""]]:
-        """Where in a step the function is highest, and how high: the highest node, improved by two parabolas."""
-        values, nodes, at = self.values(view), jnp.array(NODES), ft.partial(self.value_in, view.step)
-        around = jnp.clip(jnp.argmax(values), 1, len(NODES) - 2) + jnp.arange(-1, 2)
-        centre = jnp.clip(_turn(nodes[around], values[around]), _NEAR, 1.0 - _NEAR)
-        near = centre + _NEAR * jnp.arange(-1.0, 2.0)
-        heights = jax.vmap(at)(near)
-        turn = jnp.clip(_turn(near, heights), 0.0, 1.0)
-        # A value that is not known counts as the highest: nothing is known of the maximum then.
-        places = jnp.concatenate([nodes, near, turn[None]])
-        all_values = jnp.concatenate([values, heights, at(turn)[None]])
-        best = jnp.argmax(all_values)
-        return places[best], all_values[best]
 
+@dataclasses.dataclass(frozen=True)
+class AbstractOfSignals(AbstractFunction, AbstractMetric):
+    """A metric of a function of the signals at one instant.
 
-def _turn(places: Float[Array, " 3"], values: Float[Array, " 3"]) -> Float[Array, ""]:
-    """Where the parabola through three points turns; the middle one where they lie on a line."""
-    (a, b, c), (p, q, r) = places, stop_gradient(values)
-    left, right = (b - a) * (q - r), (b - c) * (q - p)
-    bend = left - right
-    shift = 0.5 * ((b - a) * left - (b - c) * right) / jnp.where(bend == 0.0, jnp.inf, bend)
-    return b - jnp.where(jnp.isfinite(shift), shift, 0.0)
+    Attributes:
+        of: The function, `of(signals)`, written with `jax.numpy`; see `Signals`.
+    """

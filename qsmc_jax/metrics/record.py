@@ -1,6 +1,7 @@
 """What is known of a metric besides its value: declared once, where the metric is, and read everywhere else."""
 
 import dataclasses
+import inspect
 import re
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
@@ -80,11 +81,10 @@ def records_of(cls: type) -> dict[str, Record]:
 
 def explained(cls: _C) -> _C:
     """The class, with its records as the section "Attributes" of its docstring."""
-    text = cls.__doc__
-    if text is not None:  # as by `python -OO`
-        before, heading, after = text.partition("Attributes:\n")
-        lines = (f"        {name}: {told(record)}\n" for name, record in records_of(cls).items())
-        cls.__doc__ = f"{before}{heading or f'{chr(10)}    Attributes:{chr(10)}'}{''.join(lines)}{after}"
+    if cls.__doc__ is not None:  # as by `python -OO`
+        before, heading, after = inspect.cleandoc(cls.__doc__).partition("Attributes:\n")
+        lines = (f"    {name}: {told(record)}\n" for name, record in records_of(cls).items())
+        cls.__doc__ = f"{before}{heading or f'{chr(10)}{chr(10)}Attributes:{chr(10)}'}{''.join(lines)}{after}"
     return cls
 
 

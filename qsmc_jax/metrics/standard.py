@@ -91,7 +91,7 @@ class Figures(AbstractModule):
 
     Attributes:
         sampled: What is known of a loop with an implementation besides; None for the ideal loop.
-        own: The metrics of the study, by their names.
+        own: The metrics and requirements of the study, by their columns.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -193,7 +193,7 @@ class Figures(AbstractModule):
     )
     steps: Int[Array, ""] = metric(meaning="Steps taken, kept or not", label="steps")
     sampled: SampledFigures | None = None
-    own: dict[str, Float[Array, ""]] = eqx.field(default_factory=dict)
+    own: dict[str, Array] = eqx.field(default_factory=dict)
 
     def named(self) -> dict[str, Any]:
         """Every figure by its name, those of `sampled` and of the study among them."""

@@ -14,6 +14,7 @@ from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.metric import NODES, AbstractOfSignals, View
 from qsmc_jax.metrics.record import Worse
 from qsmc_jax.metrics.signals import AbstractStep
+from qsmc_jax.metrics.summit import summit
 
 # A step is halved so often: to 1e-12 of its length.
 _BISECTIONS = 40
@@ -77,7 +78,7 @@ class AbstractTime(AbstractOfSignals):
         """
         places, values = jnp.array(NODES), self.values(view)
         is_on = values > 0.0
-        peak, height = self.highest(view)
+        peak, height, _ = summit(self.value, view)
         # Where it is so between nodes only, the peak stands in for the inner node next to it.
         inner = 1 + jnp.argmin(jnp.abs(places[1:-1] - peak))
         is_hidden = (height > 0.0) & ~is_on.any() & (jnp.arange(len(NODES)) == inner)

@@ -15,8 +15,10 @@ from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.commands import verify_command
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.campaign.recipe import settings_in
+from qsmc_jax.metrics.claims import STATEMENTS, told_of_breaches
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.report.drivers import Drivers
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.verification.result import Verification
 
@@ -81,7 +83,7 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
     return environment.get_template("report.html.j2").render(
         place=place,
         summary=summary,
-        claims=[{**claim, "sentence": _sentence(claim, summary)} for claim in summary["claims"]],
+        claims=[{**claim, "sentence": _sentence(claim, summary)} for claim in _told_claims(summary)],
         worst=[{**row, "finding": _finding(row)} for row in summary["worst"]],
         show=f"qsmc show {shlex.quote(place)} --run",
         pictures=[(_inline(folder, name), text) for name, text in _PICTURES.items() if _is_there(folder, name)],
@@ -93,6 +95,12 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
         firmer=shlex.join([*verify_command(*about, SolverSettings(**summary["firmer"])), "--out", "firmer"]),
         largest=largest[:5],
     )
+
+
+def _told_claims(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The claims; with requirements among them, all together too."""
+    claims = summary["claims"]
+    return [*claims, summary["together"]] if len(claims) > len(STATEMENTS) else claims
 
 
 def _sentence(claim: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
@@ -110,7 +118,8 @@ def _sentence(claim: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
 
 def _finding(row: Mapping[str, Any]) -> str:
     verdict, outcome = Verdict(row["verdict"]).name, Outcome(row["outcome"]).name
-    return verdict if verdict == "HELD" else f"{verdict}, {outcome} at {_short(row['end_time'])} s"
+    told = verdict if verdict == "HELD" else f"{verdict}, {outcome} at {_short(row['end_time'])} s"
+    return ", ".join(filter(None, (told, told_of_breaches(row))))
 
 
 def _short(value: Any) -> str:

@@ -8,7 +8,7 @@ from pyarrow import csv
 from scipy.io import netcdf_file
 
 from qsmc_jax.campaign.folder import RunFolder
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import concatenate
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from qsmc_jax import paper
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.trajectory import Trajectory, simulate
 
 _ROUNDING = 0.01  # the paper prints two digits behind the point

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.trajectory import Trajectory
 
 

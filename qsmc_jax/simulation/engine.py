@@ -16,7 +16,7 @@ from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.control.settling import settling_time
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.simulation.coordinates import named_coordinates
 from qsmc_jax.simulation.figures import Ending, read_figures
@@ -40,7 +40,7 @@ def pose(
     bandwidth: RealScalarLike,
     settings: SolverSettings,
     made_of: Hashable = (),
-    metrics: tuple[AbstractMetric, ...] = (),
+    measures: tuple[AbstractMeasure, ...] = (),
 ) -> Problem:
     """The problem of solving a loop from a start: its thresholds and the coordinates that the settings name.
 
@@ -50,7 +50,7 @@ def pose(
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         settings: The settings.
         made_of: Whatever tells loops apart that look alike, since what their functions read from outside differs.
-        metrics: Those of the study.
+        measures: What the study wants to know besides.
     """
     surface, funnel = loop.control.surface, loop.control.funnel
     gains = peak_gains(surface.c)
@@ -64,7 +64,8 @@ def pose(
         settling_time=settling_time(surface.c, funnel, bandwidth, bounds, loop.errors(0.0, x0)),
         fence=Fence(settings.rtol / settings.rtol),
         made_of=made_of,
-        metrics=metrics,
+        rtol=settings.rtol,
+        measures=measures,
     )
 
 

@@ -12,15 +12,19 @@ from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.accumulate import read_states
+from qsmc_jax.metrics.metric import Extent
 from qsmc_jax.metrics.standard import Figures
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.model.unseen import is_consistent
 from qsmc_jax.simulation.guarded_solver import Run
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.step_size import UNRESOLVED
 from qsmc_jax.simulation.tally import IdealStep, OutsideStep, Peak, Problem, Span, no_step
 
 # An instant, relative to the time: some ten thousand units in its last place.
 _IMMINENT = 1e-12
+# By what part of their size signals may be wrong, over the square root of the relative tolerance.
+_RESOLUTION = 0.02
 # Soon, likewise: within that time a run at the funnel's edge is outside if the gain is gone by then.
 _SOON = 1e-10
 
@@ -44,7 +48,8 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
     reach_time = last_outside(tally.outside, problem.bandwidth, ending.end_time)
     settle_time = jnp.where(tally.unsettled.end >= ending.end_time, jnp.inf, tally.unsettled.end)
     verdict, reaching, tracking = _verdicts(problem, outcome, ending, reach_time, settle_time)
-    is_complete = outcome == Outcome.COMPLETED
+    is_complete, resolution = outcome == Outcome.COMPLETED, _RESOLUTION * jnp.sqrt(problem.rtol)
+    extent = Extent(ending.end_time, ending.horizon, is_complete, ~is_refused(outcome), resolution)
     has_left = outcome == Outcome.LEFT_FUNNEL
     is_steady = is_complete & (ending.end_time > problem.reaching_time)
 
@@ -72,9 +77,7 @@ def read_figures(problem: Problem, ending: Ending) -> Figures:
         least_gain=tally.least_gain,
         largest_disturbance=tally.largest_disturbance,
         steps=ending.steps,
-        own=read_states(
-            problem.metrics, tally.own, IdealStep(no_step(ending.run.y), problem), ending.horizon, is_complete
-        ),
+        own=read_states(problem.measures, tally.own, IdealStep(no_step(ending.run.y), problem), extent),
     )
 
 

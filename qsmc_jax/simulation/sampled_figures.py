@@ -5,12 +5,17 @@ from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.accumulate import read_states
+from qsmc_jax.metrics.metric import Extent
 from qsmc_jax.metrics.standard import Figures, SampledFigures
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.figures import first_to_apply, is_since, last_outside, later_verdicts
 from qsmc_jax.simulation.instant import CellStep, no_cell
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.sampled_loop import Course
 from qsmc_jax.simulation.tally import Problem, Span
+
+# By what part of their size signals may be wrong, over the square root of the relative tolerance.
+_RESOLUTION = 0.2
 
 
 def read_sampled_figures(
@@ -27,6 +32,8 @@ def read_sampled_figures(
     recovery_time = last_outside(cells.last_exit, 1.0, end_time)
     settle_time = jnp.where(cells.unsettled.end >= end_time, jnp.inf, cells.unsettled.end)
     verdict, reaching, tracking = _verdicts(problem, outcome, horizon, course)
+    resolution = _RESOLUTION * jnp.sqrt(problem.rtol)
+    extent = Extent(end_time, horizon, is_complete, verdict != int(Verdict.INADMISSIBLE), resolution)
     steady = end_time - problem.reaching_time
     is_steady = is_complete & (steady > 0.0)
 
@@ -66,7 +73,7 @@ def read_sampled_figures(
             high_frequency_ratio=known_steady(_ratio(cells.filter.high_power, cells.filter.power)),
             peak_rate_u=known_steady(course.commands.peak_rate),
         ),
-        own=read_states(problem.metrics, cells.own, CellStep(no_cell(course.now), problem), horizon, is_complete),
+        own=read_states(problem.measures, cells.own, CellStep(no_cell(course.now), problem), extent),
     )
 
 

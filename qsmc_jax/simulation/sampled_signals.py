@@ -13,7 +13,7 @@ from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.signals import Signals
 from qsmc_jax.metrics.standard import Figures
 from qsmc_jax.simulation.engine import pose, solve
@@ -55,7 +55,7 @@ def solve_along(
     settings: SolverSettings,
     is_drawn_well: BoolScalarLike = True,
     made_of: Hashable = (),
-    own: tuple[AbstractMetric, ...] = (),
+    own: tuple[AbstractMeasure, ...] = (),
 ) -> Course:
     """Solves one run and reads its signals at the times; pure, to be compiled.
 
@@ -68,7 +68,7 @@ def solve_along(
         settings: Method and tolerances.
         is_drawn_well: Whether what was drawn for the run had arguments in range.
         made_of: As for `pose`.
-        own: Metrics of the study.
+        own: Metrics and requirements of the study.
     """
     start, ts = tuple(x0[i] for i in range(loop.order)), jnp.asarray(ts)
     problem = pose(loop, start, bandwidth, settings, made_of, own)

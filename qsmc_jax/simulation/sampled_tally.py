@@ -112,7 +112,7 @@ def first_cell_tally(problem: Problem, start: Instant) -> CellTally:
         filter=Filter(zero, zero, zero, zero),
         least_gain=jnp.asarray(problem.loop.control.gain_sign * start.terms.gain),
         largest_disturbance=jnp.abs(jnp.asarray(start.terms.disturbance)),
-        own=first_states(problem.metrics, CellStep(no_cell(start), problem)),
+        own=first_states(problem.measures, CellStep(no_cell(start), problem)),
     )
 
 
@@ -158,7 +158,7 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, tally: CellTally, cell: C
         filter=_filtered(tally.filter, cell, cutoff, is_steady),
         least_gain=jnp.minimum(tally.least_gain, gain),
         largest_disturbance=jnp.maximum(tally.largest_disturbance, jnp.abs(cell.right.terms.disturbance)),
-        own=add_own(problem.metrics, tally.own, CellStep(cell, problem)),
+        own=add_own(problem.measures, tally.own, CellStep(cell, problem)),
     )
 
 

@@ -23,7 +23,7 @@ from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.accumulate import States, first_states
 from qsmc_jax.metrics.accumulate import add_step as add_own
-from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.simulation.coordinates import AbstractCoordinates
 from qsmc_jax.simulation.quartic_interpolation import QuarticInterpolation
@@ -45,7 +45,8 @@ class Problem(AbstractModule):
         settling_time: t_s [s], from which on the funnel guarantees that the errors keep their bounds; `inf` if never.
         fence: Around what is used more than once.
         made_of: What its functions read from outside, in so far as it is known; programs are kept by it too.
-        metrics: Those of the study.
+        rtol: Relative tolerance of the solve.
+        measures: What the study wants to know besides.
     """
 
     loop: ClosedLoop
@@ -56,12 +57,14 @@ class Problem(AbstractModule):
     settling_time: RealScalarLike
     fence: Fence
     made_of: Hashable = eqx.field(static=True, default=())
-    metrics: tuple[AbstractMetric, ...] = eqx.field(static=True, default=())
+    rtol: RealScalarLike = 1e-6
+    measures: tuple[AbstractMeasure, ...] = eqx.field(static=True, default=())
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
-        """Times [s] that steps must not cross: where the loop jumps, and where windows of metrics begin and end."""
-        ends = {end for metric in self.metrics for end in (metric.after, metric.before)} - {0.0, math.inf}
+        """Times [s] that steps must not cross: where the loop jumps, and where windows begin and end."""
+        parts = it.chain.from_iterable(each.parts for each in self.measures)
+        ends = {end for part in parts for end in (part.after, part.before)} - {0.0, math.inf}
         return jnp.concatenate([self.loop.break_times, jnp.array(sorted(ends))]) if ends else self.loop.break_times
 
 
@@ -160,7 +163,7 @@ def first_tally(problem: Problem, y0: Scalars) -> Tally:
         gain=gain,
         least_gain=gain,
         largest_disturbance=jnp.asarray(jnp.abs(loop.disturbance(zero))),
-        own=first_states(problem.metrics, IdealStep(no_step(y0), problem)),
+        own=first_states(problem.measures, IdealStep(no_step(y0), problem)),
     )
 
 
@@ -194,7 +197,7 @@ def add_step(problem: Problem, tally: Tally, step: Step) -> Tally:
         gain=jnp.asarray(gain),
         least_gain=jnp.minimum(tally.least_gain, gain),
         largest_disturbance=jnp.maximum(tally.largest_disturbance, disturbance),
-        own=add_own(problem.metrics, tally.own, IdealStep(step, problem)),
+        own=add_own(problem.measures, tally.own, IdealStep(step, problem)),
     )
 
 

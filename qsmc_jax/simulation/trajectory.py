@@ -1,5 +1,6 @@
 """One run in full: `simulate` and the `Trajectory` it returns."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,13 +14,15 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.claims import claims_of, verdict_column
+from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.standard import Figures
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.state_jumps import require_no_state_jumps
 from qsmc_jax.simulation.contents import brought
 from qsmc_jax.simulation.finite import require_finite_functions
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.probed import said_of_probed
 from qsmc_jax.simulation.sampled_signals import Course, grid_of, solve_along
 from qsmc_jax.simulation.settings import SolverSettings
@@ -44,7 +47,7 @@ class Trajectory(AbstractModule):
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         error_bounds: What |sigma| < bandwidth implies for each error in the end.
         settling_time: t_s [s], from which on the funnel guarantees that the errors keep these bounds.
-        metrics: The metrics of its study, whose values are in `figures.own`.
+        measures: Metrics and requirements of its study, whose values are in `figures.own`.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -66,7 +69,7 @@ class Trajectory(AbstractModule):
     bandwidth: RealScalarLike
     error_bounds: Float[Array | np.ndarray, " n"]
     settling_time: RealScalarLike
-    metrics: tuple[AbstractMetric, ...] = eqx.field(static=True, default=())
+    measures: tuple[AbstractMeasure, ...] = eqx.field(static=True, default=())
 
     @property
     def outcome(self) -> Outcome:
@@ -143,9 +146,9 @@ class Trajectory(AbstractModule):
 
     def __str__(self) -> str:
         f, peak = self.figures, float(self.figures.peak_ratio)
-        names = ("funnel", "reaching", "tracking")
-        verdicts = (f.verdict, f.verdict_reaching, f.verdict_tracking)
-        claims = ", ".join(f"{name} {Verdict(int(v)).name}" for name, v in zip(names, verdicts, strict=True))
+        known = f.named()
+        verdicts = {claim: Verdict(int(known[verdict_column(claim)])) for claim in claims_of(known)}
+        claims = ", ".join(f"{claim} {verdict.name}" for claim, verdict in verdicts.items())
         told = f"  {self.outcome.name}: {self.outcome.advice}"
         if self.outcome in (Outcome.STARTED_OUTSIDE, Outcome.BAD_PARAMETERS):
             return f"Trajectory that was not begun: {claims}\n{told}"
@@ -160,11 +163,17 @@ class Trajectory(AbstractModule):
                 f"  |e^(i)| within their bounds for good after {float(f.settle_time):.6g} s "
                 f"(t_s = {float(self.settling_time):.6g} s)",
                 *_sampled_lines(f),
-                *(f"  {m.name} {float(f.own[m.name]):.6g} {m.unit}".rstrip() for m in self.metrics if m.name in f.own),
+                *_own_lines(f, self.measures),
                 told,
                 *([f"  {probed}"] if (probed := said_of_probed(self.loop)) else []),
             )
         )
+
+
+def _own_lines(figures: Figures, measures: Sequence[AbstractMeasure]) -> list[str]:
+    """What the study asks besides, a line each."""
+    shown = [record for each in measures for record in each.records if not claims_of([record.name])]
+    return [f"  {each.name} {float(figures.own[each.name]):.6g} {each.unit}".rstrip() for each in shown]
 
 
 def _sampled_lines(figures: Figures) -> list[str]:
@@ -251,10 +260,10 @@ def trajectory(
     bandwidth: RealScalarLike,
     ts: Float[Array | np.ndarray, " times"],
     course: Course,
-    metrics: tuple[AbstractMetric, ...] = (),
+    measures: tuple[AbstractMeasure, ...] = (),
 ) -> Trajectory:
     """What a user sees of a course: with the loop that was solved."""
-    told = course.figures, loop, bandwidth, course.error_bounds, course.settling_time, metrics
+    told = course.figures, loop, bandwidth, course.error_bounds, course.settling_time, measures
     return Trajectory(ts, *course.signals, *told)
 
 

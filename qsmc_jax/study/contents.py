@@ -11,23 +11,23 @@ import numpy as np
 from qsmc_jax.base.digest import digest
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import in_64_bits
-from qsmc_jax.metrics.check import program_of
-from qsmc_jax.metrics.metric import AbstractMetric
+from qsmc_jax.metrics.check import kind_of, program_of
+from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.simulation.contents import Contents, functions_of
 from qsmc_jax.study.draw import PointDraw, dimension
 
 
-def contents(scenario: Callable[[Any], Any], metrics: tuple[AbstractMetric, ...] = ()) -> Contents:
+def contents(scenario: Callable[[Any], Any], measures: tuple[AbstractMeasure, ...] = ()) -> Contents:
     """A hash of the program of each part of a scenario, and of the numbers in it, wherever they come from.
 
     Args:
         scenario: The scenario. Two with the same contents give the same rows.
-        metrics: Metrics of the study, each of which is a part.
+        measures: Metrics and requirements of the study, each of which is a part.
     """
     draw = PointDraw()
     with in_64_bits():
         nominal = scenario(draw)
-    own = ((f"metric `{each.name}`", _metric(each, nominal.loop.order)) for each in metrics)
+    own = ((f"{kind_of(each)} `{each.name}`", _measure(each, nominal.loop.order)) for each in measures)
     return (("scenario", _scenario(scenario, dimension(draw.specs))), *functions_of(nominal.loop), *own)
 
 
@@ -38,12 +38,12 @@ class Made:
     Attributes:
         scenario: The scenario.
         contents: Its contents when its study was made.
-        metrics: Metrics of the study.
+        measures: Metrics and requirements of the study.
     """
 
     scenario: Callable[[Any], Any]
     contents: Contents
-    metrics: tuple[AbstractMetric, ...] = ()
+    measures: tuple[AbstractMeasure, ...] = ()
 
     def __call__(self, draw: Any) -> Any:
         """What the scenario returns."""
@@ -56,7 +56,7 @@ class Made:
             InputError: It has changed: programs that are compiled from now on would be of another loop.
         """
         changed = [
-            part for part, hashed in contents(self.scenario, self.metrics) if (part, hashed) not in self.contents
+            part for part, hashed in contents(self.scenario, self.measures) if (part, hashed) not in self.contents
         ]
         if changed:
             raise InputError(
@@ -66,9 +66,11 @@ class Made:
             )
 
 
-def _metric(metric: AbstractMetric, order: int) -> str:
-    about = type(metric).__name__, metric.after, metric.before, metric.unit
-    return digest(program_of(metric, order), *about)
+def _measure(measure: AbstractMeasure, order: int) -> str:
+    """Its programs, its windows, and how its parts are joined."""
+    programs = [program_of(measure, part, order) for part in measure.parts]
+    windows = [(type(part).__name__, part.after, part.before) for part in measure.parts]
+    return digest(programs, windows, [record.unit for record in measure.records], measure.form)
 
 
 def _scenario(scenario: Callable[[Any], Any], dim: int) -> str:

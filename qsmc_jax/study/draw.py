@@ -22,6 +22,7 @@ from qsmc_jax.base.names import require_name
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.metrics.claims import require_no_claim
 from qsmc_jax.metrics.standard import FIELDS, catalogue
 from qsmc_jax.study import quantiles
 
@@ -386,3 +387,4 @@ def _require_new_name(name: Any, taken: Mapping[str, Any]) -> None:
         name not in TABLE_COLUMNS,
         f"Argument `name` must not be that of a column which every table has, but is `{name}`. Choose another.",
     )
+    require_no_claim(name)

@@ -31,7 +31,7 @@ def run(
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
-    problem = pose(made.loop, x0, bandwidth, settings, scenario.contents, scenario.metrics)
+    problem = pose(made.loop, x0, bandwidth, settings, scenario.contents, scenario.measures)
     figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
     return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, figures
 
@@ -47,7 +47,7 @@ def run_along(
     """The values of a run's names, its figures and its signals at the times."""
     draw = PointDraw(point, values)
     made = scenario(draw)
-    known = draw.is_valid, scenario.contents, scenario.metrics
+    known = draw.is_valid, scenario.contents, scenario.measures
     course = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, *known)
     return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, course
 

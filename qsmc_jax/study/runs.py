@@ -5,18 +5,18 @@ from collections.abc import ItemsView, Iterator, KeysView, Mapping, Sequence, Va
 from typing import Any, overload
 
 import numpy as np
+from jaxtyping import Int
 
 from qsmc_jax.base.checks import nearest
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.metrics.claims import claims_of, verdict_column
 from qsmc_jax.metrics.standard import record_of
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 
 # Rows that a notebook shows.
 _SHOWN = 5
-
-CLAIMS = ("verdict", "verdict_reaching", "verdict_tracking")
 
 
 class MissingColumnError(InputError, KeyError):
@@ -116,13 +116,23 @@ class Runs:
         """
         return {name: column[i].item() for name, column in self.columns.items()}
 
-    def counts(self, claim: str = "verdict") -> dict[Verdict, int]:
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """The claims on which it has verdicts: "funnel", "reaching", "tracking", and the requirements of the study."""
+        return claims_of(self.columns)
+
+    @property
+    def verdicts(self) -> Int[np.ndarray, "claims rows"]:
+        """The verdicts on all claims, codes of `Verdict`."""
+        return np.array([self[verdict_column(claim)] for claim in self.claims])
+
+    def counts(self, claim: str = "funnel") -> dict[Verdict, int]:
         """How many runs have each verdict on a claim.
 
         Args:
-            claim: `"verdict"` (the funnel), `"verdict_reaching"` or `"verdict_tracking"`.
+            claim: Its name, one of `claims`.
         """
-        return {verdict: int(np.sum(self[claim] == verdict)) for verdict in Verdict}
+        return count_verdicts(self[verdict_column(claim)])
 
     def to_pandas(self) -> Any:
         """The table as a `pandas.DataFrame` over the index of the run; needs the extra `notebook`."""
@@ -153,6 +163,11 @@ class Runs:
         peak = self["peak_ratio"][np.isfinite(self["peak_ratio"])]
         worst = f"; worst sup |sigma|/rho {peak.max():.6g}" if peak.size else ""
         return f"{len(self)} runs, {len(self.columns)} columns: {counts or 'empty'}{worst}"
+
+
+def count_verdicts(verdicts: Int[np.ndarray, " rows"]) -> dict[Verdict, int]:
+    """How many of some verdicts are which."""
+    return {verdict: int(np.sum(verdicts == verdict)) for verdict in Verdict}
 
 
 def concatenate(tables: Sequence[Runs]) -> Runs:

@@ -14,8 +14,11 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import Draw
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.metrics.check import check_metrics, record_in
+from qsmc_jax.metrics.check import check_measures, records_in
+from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, margin_column, verdict_column
+from qsmc_jax.metrics.metric import AbstractMeasure, AbstractMetric
 from qsmc_jax.metrics.record import Record
+from qsmc_jax.metrics.requirements import Required, Requirement
 from qsmc_jax.metrics.standard import record_of
 from qsmc_jax.simulation.sampled_signals import grid_of, signals_at_start
 from qsmc_jax.simulation.settings import SolverSettings
@@ -54,6 +57,8 @@ class Scenario(AbstractModule):
         check_start(self.loop, self.x0, self.t1)
 
 
+# Runs whose horizons are looked at where a window must not lie beyond all.
+_TRIED = 8
 # How to come by a study.
 REMEDY = "Make one: `qj.Study(scenario, bandwidth=...)`."
 
@@ -69,6 +74,8 @@ class Study:
         bandwidth: Bandwidth epsilon, rho_inf < epsilon < rho0 (C2), in units of the sliding variable.
         values: Numbers substituted for names, by name; see `substitute`.
         metrics: A list of metrics of one's own, see `qj.metrics`: each is a column of every table of its runs.
+        requirements: Requirements of one's own by their names, made by `qj.always` and `qj.eventually`: claims beside
+            those of Theorem 1, with the columns `verdict_NAME` and `margin_NAME`.
         specs: What is known of each name; found by calling the scenario.
         nominal: The scenario with every distribution at its median.
         contents: Hashes of what it computes, by part, with all that it reads from outside.
@@ -93,6 +100,7 @@ class Study:
     bandwidth: float
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     metrics: Any = ()
+    requirements: Any = dataclasses.field(default_factory=dict)
     specs: tuple[DrawSpec, ...] = dataclasses.field(init=False)
     nominal: Scenario = dataclasses.field(init=False)
     contents: Contents = dataclasses.field(init=False)
@@ -107,18 +115,39 @@ class Study:
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
         require_finite("bandwidth", self.bandwidth)
         object.__setattr__(self, "specs", discover(ft.partial(_scenario_of, self.scenario))[0])
-        is_list, found = isinstance(self.metrics, list | tuple), type(self.metrics).__name__
-        require(is_list, f"Argument `metrics` must be a list of metrics, but is a `{found}`: write [...] around it.")
-        object.__setattr__(self, "metrics", tuple(self.metrics))
+        object.__setattr__(self, "metrics", _metrics(self.metrics))
+        object.__setattr__(self, "requirements", _requirements(self.requirements))
         self._take(self.values)
-        if self.metrics:
-            self._check_metrics()
-        object.__setattr__(self, "contents", contents(self.scenario, self.metrics))
+        if self.measures:
+            self._check_measures()
+        object.__setattr__(self, "contents", contents(self.scenario, self.measures))
 
-    def _check_metrics(self) -> None:
+    def _check_measures(self) -> None:
         start = signals_at_start(self.nominal.loop, self.nominal.x0)
-        columns = [column for spec in self.specs for column in spec.columns]
-        check_metrics(self.metrics, start, float(self.nominal.t1), [*TABLE_COLUMNS, *columns])
+        drawn = [column for spec in self.specs for column in spec.columns]
+        taken = [*TABLE_COLUMNS, *map(verdict_column, (*STATEMENTS, TOGETHER)), *drawn]
+        check_measures(self.measures, start, self._longest_horizon(), taken)
+
+    def _longest_horizon(self) -> float:
+        """The longest horizon [s] of the nominal run and a few others."""
+        points = Random().points(0, range(_TRIED), self.dimension)
+        made = (_call(self.scenario, PointDraw(point, self.values)) for point in points)
+        return max(float(each.t1) for each in (self.nominal, *made))
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """The claims that its runs are judged by: the three of Theorem 1 and its requirements."""
+        return (*STATEMENTS, *self.requirements)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """The columns of its metrics, and of the margins of its requirements."""
+        return (*(each.name for each in self.metrics), *map(margin_column, self.requirements))
+
+    @property
+    def measures(self) -> tuple[AbstractMeasure, ...]:
+        """What it wants to know of each run besides: its metrics and its requirements."""
+        return (*self.metrics, *(Required(*each) for each in self.requirements.items()))
 
     def _take(self, values: Mapping[str, Any]) -> None:
         """Checks the values and what the scenario makes of them, and keeps both."""
@@ -139,13 +168,15 @@ class Study:
     @property
     def made(self) -> Made:
         """The scenario with its contents: what its programs are known by."""
-        return Made(self.scenario, self.contents, self.metrics)
+        return Made(self.scenario, self.contents, self.measures)
 
     @ft.cached_property
     def records(self) -> dict[str, Record]:
         """What is known of the columns that this study alone has, by their names."""
         drawn = {column: Record(column, f"Drawn by the study: {s.kind}") for s in self.specs for column in s.columns}
-        return {**drawn, **{metric.name: record_in(metric, self.nominal.loop.order) for metric in self.metrics}}
+        for measure in self.measures:
+            drawn.update(records_in(measure, self.nominal.loop.order))
+        return drawn
 
     def record_of(self, column: str) -> Record:
         """What is known of a column of its tables: unit, meaning, label of an axis.
@@ -183,7 +214,7 @@ class Study:
             InputError: A name does not exist (the nearest is suggested), or a value lies outside its bounds.
         """
         made = object.__new__(Study)
-        for name in ("scenario", "bandwidth", "specs", "metrics", "contents"):
+        for name in ("scenario", "bandwidth", "specs", "metrics", "requirements", "contents"):
             object.__setattr__(made, name, getattr(self, name))
         made._take({**self.values, **values})
         return made
@@ -240,7 +271,7 @@ class Study:
             settings = settings.replace(method=method_for(own, self.stiffness, settings.method))
         ts, bandwidth = grid_of(ts, made.t1), as_float64(self.bandwidth)
         _, course = program(run_along, self.made)(settings, bandwidth, ts, self.numbers, point)
-        return trajectory(made.loop, bandwidth, ts, course, self.metrics)
+        return trajectory(made.loop, bandwidth, ts, course, self.measures)
 
     def _stiffness_at(self, point: np.ndarray) -> Any:
         return program(stiffness_at, self.made)(self.numbers, point)
@@ -254,6 +285,22 @@ def require_study(study: Any, name: str = "study") -> None:
     """Raises unless an argument is a study, whose scenario computes what it did when it was made."""
     require_kind(name, study, Study, REMEDY)
     study.require_unchanged()
+
+
+def _metrics(given: Any) -> tuple[AbstractMetric, ...]:
+    is_list, found = isinstance(given, list | tuple), type(given).__name__
+    require(is_list, f"Argument `metrics` must be a list of metrics, but is a `{found}`: write [...] around it.")
+    for metric in given:
+        require_kind("metrics", metric, AbstractMetric, "Use those of `qj.metrics`, such as `qj.metrics.Peak`.")
+    return tuple(given)
+
+
+def _requirements(given: Any) -> dict[Any, Requirement]:
+    found, remedy = type(given).__name__, 'write {"name": qj.always(...)}'
+    require(isinstance(given, Mapping), f"Argument `requirements` must be a dictionary, but is a `{found}`: {remedy}.")
+    for requirement in given.values():
+        require_kind("requirements", requirement, Requirement, "Make them by `qj.always` and `qj.eventually`.")
+    return dict(given)
 
 
 def _scenario_of(scenario: Callable[[Any], Any], draw: PointDraw) -> Scenario:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import nearest, require
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.lanes import LANE_MULTIPLE, block_size, thread_count
 from qsmc_jax.study.monte_carlo import stream
@@ -17,7 +17,7 @@ from qsmc_jax.study.tangents import differentiate
 from qsmc_jax.tuning.box import Box
 from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.rows import LOSS, NEEDED, counted, is_unknown, mean_loss, slopes
-from qsmc_jax.tuning.terms import METRICS
+from qsmc_jax.tuning.terms import METRICS, Term
 
 # A constraint counts as kept up to this part of its bound.
 KEPT = 1e-6
@@ -119,7 +119,7 @@ class Batch:
     history: list[Evaluation] = dataclasses.field(default_factory=list)
 
     def __post_init__(self):
-        loop, own = self.study.nominal.loop, (metric.name for metric in self.study.metrics)
+        loop, own = self.study.nominal.loop, self.study.measured
         known = (*(f"peak_error[{i}]" for i in range(loop.order)), *METRICS, *own)
         for metric in self.metrics:
             named, record = f"Argument `objective` names `{metric}`", self.study.record_of(metric)
@@ -128,12 +128,24 @@ class Batch:
             is_sampled = loop.implementation is not None or record.loops != "sampled"
             require(is_sampled, f"{named}, which only a loop with an `implementation` has.")
             require(record.has_gradient, f"{named}, which has no derivative by the gains.")
+        for term in self.terms:
+            is_meant = term.statistic not in ("worst", "cvar") or self.study.record_of(term.metric).worse != "low"
+            require(
+                is_meant,
+                f"Argument `objective`: `{term.statistic}` is the largest, but of `{term.metric}` the smallest is the "
+                f"worst: use `least({term.metric})`.",
+            )
 
     @property
     def metrics(self) -> tuple[str, ...]:
         """The columns that objective and constraints need."""
-        needed = [self.objective.metrics, *(constraint.objective.metrics for constraint in self.constraints)]
-        return tuple(dict.fromkeys(metric for metrics in needed for metric in metrics))
+        return tuple(dict.fromkeys(term.metric for term in self.terms))
+
+    @property
+    def terms(self) -> list[Term]:
+        """What objective and constraints are made of."""
+        objectives = (self.objective, *(constraint.objective for constraint in self.constraints))
+        return [term for objective in objectives for term in objective.terms]
 
     def evaluate(self, v: Float[np.ndarray, " names"], start: int = -1) -> Evaluation:
         """Objective and constraints at a point of the unit cube."""

@@ -7,37 +7,27 @@ from collections.abc import Mapping
 import numpy as np
 
 from qsmc_jax.base.short_repr import short_repr
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import Progress
-from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.runs import Runs, concatenate, count_verdicts
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.rows import counted, is_solved_to_its_end
+from qsmc_jax.verification.counts import Counts
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.simultaneous import each_of
-from qsmc_jax.verification.statistics import clopper_pearson
 
 
 @dataclasses.dataclass(frozen=True)
-class Guarantee:
-    """How often one thing fails, over fresh runs.
+class Guarantee(Counts):
+    """How often one thing fails, over fresh runs; all count, those that were not admissible as failed.
 
     Attributes:
         statement: What is said of a run.
-        failed: Runs in which it is false.
-        undecided: Runs that could not be decided; counted both ways in the interval.
-        runs: All runs.
-        low: Lower end of the interval of the probability that it is false.
-        high: Upper end.
     """
 
     statement: str
-    failed: int
-    undecided: int
-    runs: int
-    low: float
-    high: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +47,8 @@ class Certificate:
     Examples:
         >>> import qsmc_jax as qj
         >>> from qsmc_jax.tuning.certificate import Guarantee
-        >>> funnel = Guarantee("in the funnel", failed=0, undecided=0, runs=10_000, low=0.0, high=4e-4)
+        >>> counts = {qj.Verdict.HELD: 10_000, **dict.fromkeys((qj.Verdict(1), qj.Verdict(2), qj.Verdict(3)), 0)}
+        >>> funnel = Guarantee.of(counts, 0.95, statement="in the funnel")
         >>> certificate = qj.Certificate({"mu": 2.7}, 1, 10_000, 0.01, 0.95, (funnel,), 50.0, training_objective=49.5)
         >>> certificate.is_granted, certificate.optimism
         (True, 0.5)
@@ -90,7 +81,7 @@ class Certificate:
             f"risk {self.risk:g}; all intervals together with {100 * self.confidence:.4g} % confidence"
         ]
         rows += [
-            f"  {each.statement:28} false in {each.failed} of {each.runs} ({each.undecided} undecided): "
+            f"  {each.statement:28} false in {each.violated} of {each.total} ({each.undecided} undecided): "
             f"probability in [{each.low:.3g}, {each.high:.3g}]"
             for each in self.guarantees
         ]
@@ -192,5 +183,5 @@ def _kept(constraint: Constraint, table: Runs, confidence: float) -> Guarantee:
 
 
 def _counted(statement: str, failed: np.ndarray, undecided: np.ndarray, confidence: float) -> Guarantee:
-    low, high = clopper_pearson(int(failed.sum()), int(undecided.sum()), len(failed), confidence)
-    return Guarantee(statement, int(failed.sum()), int(undecided.sum()), len(failed), low, high)
+    verdicts = np.select([failed, undecided], [int(Verdict.VIOLATED), int(Verdict.UNDECIDED)], int(Verdict.HELD))
+    return Guarantee.of(count_verdicts(verdicts), confidence, statement=statement)

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from jaxtyping import Float
 
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.simulation.outcome import Outcome
 
 # The name, among columns, of what each run lost: 0 for one that was solved to its end.
 LOSS = "loss"

@@ -11,15 +11,14 @@ from qsmc_jax.base.notebook import as_html
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.standard import catalogue, record_of
-from qsmc_jax.simulation.outcome import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.comparison_plots import plot_comparison
+from qsmc_jax.verification.counts import HEADING, Counts
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.simultaneous import each_of, median_interval
-from qsmc_jax.verification.statistics import clopper_pearson
 
 METRICS = tuple(name for name, record in catalogue().items() if record.is_compared)
 
@@ -42,41 +41,19 @@ class Estimate:
 
 
 @dataclasses.dataclass(frozen=True)
-class Compared:
-    """What was found for one study.
+class Compared(Counts):
+    """What was found for one study, counted for the funnel claim.
 
     Attributes:
         name: Its name.
-        held: Runs in which the funnel claim held.
-        violated: Runs in which it did not.
-        undecided: Runs that could not be decided; counted both ways in the interval.
-        inadmissible: Runs in which a premise does not hold; not counted in the interval.
-        low: Lower end of the interval of the violation probability.
-        high: Upper end.
         medians: By figure, its median over the runs in which it is known.
         ratios: By figure, the median of its ratio to the same run of the first study, over the runs in which both are
             finite and that of the first is positive; empty for the first study itself.
     """
 
     name: str
-    held: int
-    violated: int
-    undecided: int
-    inadmissible: int
-    low: float
-    high: float
     medians: Mapping[str, Estimate]
     ratios: Mapping[str, Estimate]
-
-    @property
-    def total(self) -> int:
-        """Admissible runs."""
-        return self.held + self.violated + self.undecided
-
-    @property
-    def estimate(self) -> float:
-        """Violated runs over admissible ones; NaN where there are none."""
-        return self.violated / self.total if self.total else float("nan")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,13 +127,9 @@ class Comparison:
 
     def __str__(self) -> str:
         width = max(12, *(len(study.name) for study in self.studies))
-        head = (
-            f"{'study':{width}}{'held':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   violation probability"
-        )
-        rows = [f"{self.runs} runs each, on the same random numbers, seed {self.seed}", head]
-        for s in self.studies:
-            counts = f"{s.held:9d}{s.violated:10d}{s.undecided:11d}{s.inadmissible:14d}"
-            rows.append(f"{s.name:{width}}{counts}   [{s.low:.3g}, {s.high:.3g}]")
+        rows = [f"{self.runs} runs each, on the same random numbers, seed {self.seed}"]
+        rows.append(f"{'study':{width}}{HEADING}   violation probability")
+        rows += [f"{study.name:{width}}{study.row()}" for study in self.studies]
         rows += self._median_rows(width)
         rows.append(f"All {self.intervals} intervals hold together with {100 * self.confidence:g} % confidence.")
         return "\n".join(rows)
@@ -233,7 +206,7 @@ def compare(
     require_fraction("confidence", confidence)
     _require_same_names(studies)
     settings, tables = settings or SolverSettings(), {}
-    own = dict.fromkeys(metric.name for study in studies.values() for metric in study.metrics)
+    own = dict.fromkeys(name for study in studies.values() for name in study.measured)
     wanted = (*METRICS, *own) if metrics is None else tuple(metrics)
     for number, (name, study) in enumerate(studies.items()):
         told = part_of(progress, number * runs, runs * len(studies))
@@ -307,12 +280,9 @@ def _known(values: np.ndarray) -> np.ndarray:
 def _compared(
     name: str, table: Runs, known: Mapping[str, np.ndarray], ratios: Mapping[str, np.ndarray], each: float
 ) -> Compared:
-    counts = table.counts()
-    held, violated, undecided = counts[Verdict.HELD], counts[Verdict.VIOLATED], counts[Verdict.UNDECIDED]
-    low, high = clopper_pearson(violated, undecided, held + violated + undecided, each)
     medians = {metric: _estimate(values, each) for metric, values in known.items()}
     paired = {metric: _estimate(values, each) for metric, values in ratios.items()}
-    return Compared(name, held, violated, undecided, counts[Verdict.INADMISSIBLE], low, high, medians, paired)
+    return Compared.of(table.counts(), each, name=name, medians=medians, ratios=paired)
 
 
 def _estimate(values: np.ndarray, confidence: float) -> Estimate:

@@ -3,13 +3,14 @@
 import dataclasses
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 
 from qsmc_jax.base.checks import require, require_count, require_fraction
 from qsmc_jax.base.scales import spans_decade
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.claims import require_claim
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
 from qsmc_jax.study.monte_carlo import Progress
@@ -17,7 +18,7 @@ from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.critical_result import CriticalTest, CriticalValue, Side
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.simultaneous import each_of
-from qsmc_jax.verification.statistics import clopper_pearson, runs_needed
+from qsmc_jax.verification.statistics import runs_needed
 
 # A test looks at its runs when it has 1, 2 and 4 times as many as show the claim if none of them is violated.
 _LOOKS = (1, 2, 4)
@@ -50,6 +51,7 @@ def critical_value(
     *,
     between: tuple[float, float] | None = None,
     side: Side | None = None,
+    claim: str = "funnel",
     confidence: float = 0.95,
     seed: int = 0,
     steps: int = 12,
@@ -59,7 +61,7 @@ def critical_value(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> CriticalValue:
-    r"""Searches the last value of a name at which the probability of leaving the funnel is shown to be below `below`.
+    r"""Searches the last value of a name at which the probability of violating a claim is shown to be below `below`.
 
     Bisection, the two ends first, in the logarithm if both are positive and more than a decade apart. Each test has
     fresh runs, since which value is tested depends on the runs before. It looks at them up to three times: with N runs,
@@ -78,6 +80,7 @@ def critical_value(
         between: The two ends, in increasing order; None for the bounds of the name in the study.
         side: "largest" if small values are safe, "smallest" if large ones are (a saturation, say); None to find out
             from the two ends.
+        claim: The claim whose violation is counted: "funnel", "reaching", "tracking" or a requirement of the study.
         confidence: That all findings are right, strictly between 0 and 1.
         seed: Seed of the runs.
         steps: Values to be tested after the two ends, at least 0.
@@ -108,6 +111,7 @@ def critical_value(
         ('largest', 0.25, 0.5)
     """
     require_study(study)
+    require_claim("claim", claim, study.claims)
     require(side is None or side in get_args(Side), f"Argument `side` must be one of {[*get_args(Side)]}.")
     require_count("steps", steps, 0)
     ends = _ends(study, name, between)
@@ -118,10 +122,10 @@ def critical_value(
         told = part_of(progress, indices.start, plan.tests * plan.looks[-1])
         there = study.substitute(**{name: value})
         tables = decide(there, indices, seed, settings=settings, block=block, threads=threads, progress=told)
-        return sum((Counter(table.counts()) for table in tables), Counter())
+        return sum((Counter(table.counts(claim)) for table in tables), Counter())
 
     side, tests = search(count, ends, plan, side)
-    return CriticalValue(study, name, below, confidence, seed, ends, side, plan.each, plan.looks, tests)
+    return CriticalValue(study, name, below, confidence, seed, ends, side, plan.each, plan.looks, tests, claim)
 
 
 def plan_tests(below: float, confidence: float, steps: int, budget: int | None) -> Plan:
@@ -184,22 +188,11 @@ def _test(count: CountRuns, value: float, number: int, plan: Plan) -> CriticalTe
     for runs in plan.looks:
         counts += count(value, range(first + made, first + runs))
         made = runs
-        test = _look(value, made, counts, plan)
+        test = CriticalTest.of(counts, plan.each, value=value, runs=made, below=plan.below)
         if test.finding != "open":
             break
     assert test is not None
     return test
-
-
-def _look(value: float, runs: int, counts: Counter[Verdict], plan: Plan) -> CriticalTest:
-    violated, undecided = counts[Verdict.VIOLATED], counts[Verdict.UNDECIDED]
-    low, high = clopper_pearson(violated, undecided, runs - counts[Verdict.INADMISSIBLE], plan.each)
-    finding: Literal["below", "above", "open"] = "open"
-    if high < plan.below:
-        finding = "below"
-    elif low > plan.below:
-        finding = "above"
-    return CriticalTest(value, runs, violated, undecided, counts[Verdict.INADMISSIBLE], low, high, finding)
 
 
 def _ends(study: Study, name: str, between: Any) -> tuple[float, float]:

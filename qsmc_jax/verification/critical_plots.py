@@ -6,6 +6,7 @@ import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, one_axes
 from qsmc_jax.base.scales import spans_decade
+from qsmc_jax.metrics.claims import breaching
 
 if TYPE_CHECKING:
     from qsmc_jax.verification.critical_result import CriticalValue
@@ -39,7 +40,7 @@ def plot_critical(result: "CriticalValue", ax: Any = None) -> Any:
     if spans_decade(low, high):
         ax.set_xscale("log")
     ax.set_yscale("symlog", linthresh=result.below)
-    label = f"probability of leaving the funnel (linear below {result.below:g})"
+    label = f"probability of {breaching(result.claim)} (linear below {result.below:g})"
     ax.set(xlabel=result.name, ylabel=label, ylim=(-0.05 * result.below, 1.1))
     sure = f"all findings right together with {100 * result.confidence:g} % confidence"
     ax.set_title(f"{len(result.tests)} tests, {result.runs} runs, seed {result.seed}; {sure}", fontsize=10)

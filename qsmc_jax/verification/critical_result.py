@@ -7,7 +7,9 @@ import numpy as np
 
 from qsmc_jax.base.notebook import as_html
 from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.metrics.claims import breaching
 from qsmc_jax.study.study import Study
+from qsmc_jax.verification.counts import HEADING, Counts
 from qsmc_jax.verification.critical_plots import plot_critical
 
 Side: TypeAlias = Literal["largest", "smallest"]
@@ -15,28 +17,25 @@ Finding: TypeAlias = Literal["below", "above", "open"]
 
 
 @dataclasses.dataclass(frozen=True)
-class CriticalTest:
+class CriticalTest(Counts):
     """One value of the name against the probability.
 
     Attributes:
         value: The value.
         runs: Runs made.
-        violated: Runs that left the funnel.
-        undecided: Runs that could not be decided; counted both ways in the interval.
-        inadmissible: Runs in which a premise does not hold; not counted in the interval.
-        low: Lower end of the interval of the violation probability.
-        high: Upper end.
-        finding: "below" or "above" where the interval says so, else "open".
+        below: The probability to be compared with.
     """
 
     value: float
     runs: int
-    violated: int
-    undecided: int
-    inadmissible: int
-    low: float
-    high: float
-    finding: Finding
+    below: float
+
+    @property
+    def finding(self) -> Finding:
+        """What the interval says: "below" or "above" the probability, else "open"."""
+        if self.high < self.below:
+            return "below"
+        return "above" if self.low > self.below else "open"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +53,7 @@ class CriticalValue:
         confidence_each: Confidence of the interval at each look of each test.
         looks: Numbers of runs at which a test looked.
         tests: Every test made, in order; the two ends first.
+        claim: The claim whose violations were counted.
 
     Examples:
         >>> import equinox as eqx
@@ -80,6 +80,7 @@ class CriticalValue:
     confidence_each: float
     looks: tuple[int, ...]
     tests: tuple[CriticalTest, ...]
+    claim: str = "funnel"
 
     @property
     def shown(self) -> float | None:
@@ -113,7 +114,7 @@ class CriticalValue:
     def conclusion(self) -> str:
         """What is claimed, and what is not, in sentences that can be quoted."""
         sure = f"with {100 * self.confidence:g} % confidence over the whole search"
-        small = f"the probability of leaving the funnel is below {self.below:g}"
+        small = f"the probability of {breaching(self.claim)} is below {self.below:g}"
         shown, other = self.shown, self.not_shown
         if not any(test.finding == "below" for test in self.tests):
             return f"NOT FOUND: neither at {self._at(0)} nor at {self._at(1)} was it shown that {small}."
@@ -136,13 +137,14 @@ class CriticalValue:
 
     def table(self) -> dict[str, Any]:
         """The tests as columns, a row a test."""
-        rows = [dataclasses.asdict(test) for test in self.tests]
+        rows = [{**dataclasses.asdict(test), "finding": test.finding} for test in self.tests]
         return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
     def summary(self) -> dict[str, Any]:
         """Everything as plain numbers and texts, ready for JSON."""
         return {
             "name": self.name,
+            "claim": self.claim,
             "below": self.below,
             "shown": self.shown,
             "not_shown": self.not_shown,
@@ -156,7 +158,7 @@ class CriticalValue:
             "bandwidth": float(self.study.bandwidth),
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "runs": self.runs,
-            "tests": [dataclasses.asdict(test) for test in self.tests],
+            "tests": [{**dataclasses.asdict(test), "finding": test.finding} for test in self.tests],
         }
 
     def _repr_html_(self) -> str:
@@ -177,12 +179,8 @@ class CriticalValue:
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, each test with its own"]
-        rows.append(
-            f"{self.name:>14}{'runs':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}  finding  interval"
-        )
-        for t in self.tests:
-            counts = f"{t.runs:9d}{t.violated:10d}{t.undecided:11d}{t.inadmissible:14d}"
-            rows.append(f"{t.value:14.6g}{counts}  {t.finding:7}  [{t.low:.3g}, {t.high:.3g}]")
+        rows.append(f"{self.name:>14}  finding{HEADING}   interval")
+        rows += [f"{test.value:14.6g}  {test.finding:7}{test.row()}" for test in self.tests]
         return "\n".join((*rows, self.conclusion()))
 
     def _at(self, end: int) -> str:

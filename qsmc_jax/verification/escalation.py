@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool, Int
 
-from qsmc_jax.simulation.outcome import Outcome, Verdict
-from qsmc_jax.study.runs import CLAIMS, Runs, concatenate, replace_rows
+from qsmc_jax.metrics.claims import STATEMENTS, margin_column, verdict_column
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.simulation.outcome import Outcome
+from qsmc_jax.study.runs import Runs, concatenate, replace_rows
 from qsmc_jax.verification.rungs import RUNGS, Rungs
 
 _LOG = logging.getLogger(__name__)
@@ -54,7 +56,7 @@ class Escalation:
 
     def feed(self, table: Runs) -> Iterator[Runs]:
         """Yields the rows that need no second look, and whatever has been decided meanwhile, in no particular order."""
-        doubtful = is_open([said(table)])
+        doubtful = is_open([said(table)], is_near([table]))
         if not doubtful.all():
             yield _with(table.take(~doubtful), rung=np.zeros(int((~doubtful).sum()), np.int64))
         if doubtful.any():
@@ -72,7 +74,7 @@ class Escalation:
     def _escalate(self, table: Runs) -> Runs:
         tables, verdicts = [table], [said(table)]
         for rung in range(1, RUNGS):
-            rows = np.flatnonzero(is_open(verdicts))
+            rows = np.flatnonzero(is_open(verdicts, is_near(tables)))
             if not len(rows):
                 break
             self.escalated[rung - 1] += len(rows)
@@ -89,7 +91,7 @@ class Escalation:
 
 def said(table: Runs) -> Int[np.ndarray, "claims rows"]:
     """What one solve says of each claim: nothing where its peak is above what the comparison lemma allows."""
-    return np.where(breaches_bound(table), int(Verdict.UNDECIDED), np.array([table[claim] for claim in CLAIMS]))
+    return np.where(breaches_bound(table), int(Verdict.UNDECIDED), table.verdicts)
 
 
 def agreed(verdicts: Sequence[np.ndarray]) -> Int[np.ndarray, "..."]:
@@ -109,15 +111,28 @@ def agreed(verdicts: Sequence[np.ndarray]) -> Int[np.ndarray, "..."]:
     return decided
 
 
-def is_open(verdicts: Sequence[Int[np.ndarray, "claims rows"]]) -> Bool[np.ndarray, " rows"]:
+def is_open(
+    verdicts: Sequence[Int[np.ndarray, "claims rows"]], near: Bool[np.ndarray, "claims rows"]
+) -> Bool[np.ndarray, " rows"]:
     """Rows to be solved on the next rung, if there is one.
 
     The funnel claim must be decided. The later ones may be UNDECIDED for good, by a horizon that is too short, and are
-    open only where a rung says something that is not yet to be believed.
+    open only where a rung says something that is not yet to be believed, or where they are near.
+
+    Args:
+        verdicts: What each rung said so far.
+        near: Where a firmer solve might decide what none has said.
     """
     is_undecided = agreed(verdicts) == Verdict.UNDECIDED
     says_something = (np.array(verdicts) != Verdict.UNDECIDED).any(axis=0)
-    return is_undecided[0] | (is_undecided & says_something).any(axis=0)
+    return is_undecided[0] | (is_undecided & (says_something | near)).any(axis=0)
+
+
+def is_near(tables: Sequence[Runs]) -> Bool[np.ndarray, "claims rows"]:
+    """Where the last solve knows the margin of a requirement, and it is too small to tell its sign."""
+    table, unknown = tables[-1], np.full(len(tables[-1]), np.nan)
+    margins = [unknown if claim in STATEMENTS else table[margin_column(claim)] for claim in table.claims]
+    return np.isfinite(margins) & (table.verdicts == Verdict.UNDECIDED)
 
 
 def breaches_bound(table: Runs) -> Bool[np.ndarray, " rows"]:
@@ -142,7 +157,7 @@ def _decided(tables: Sequence[Runs], verdicts: Sequence[np.ndarray]) -> Runs:
     disputed = (decided[0] == Verdict.UNDECIDED) & _disagree(np.array(verdicts))[0]
     rung[disputed] = len(tables) - 1
     decided[:, disputed] = Verdict.UNDECIDED
-    columns.update(zip(CLAIMS, decided, strict=True))
+    columns.update(zip(map(verdict_column, tables[0].claims), decided, strict=True))
     return _disowned(_with(Runs(columns, tables[0].names), rung=rung), disputed)
 
 

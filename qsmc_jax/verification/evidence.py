@@ -1,12 +1,13 @@
 """From rows to a verdict: what is kept of them, and what is concluded in the end."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from qsmc_jax.base.checks import require_count, require_fraction, require_kind
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.anytime import confidence_sequence
 from qsmc_jax.verification.numerical_error import ClaimCheck, Sample, Solve, recheck
@@ -15,12 +16,6 @@ from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.statistics import clopper_pearson
 from qsmc_jax.verification.stopping import AbstractRule
 from qsmc_jax.verification.summary import Summary
-
-_STATEMENTS = {
-    "funnel": "|sigma(t)| < rho(t) for all t",
-    "reaching": "|sigma(t)| < bandwidth for all t >= t_r",
-    "tracking": "|e^(i)(t)| <= bandwidth ||G_i||_1 for all t >= t_s and all i",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,8 +49,8 @@ class Evidence:
         """None yet; so many of the worst rows will be kept."""
         reaching_time = float(study.nominal.loop.control.funnel.reaching_time(study.bandwidth))
         self.study, self.runs, self.sample = study, 0, Sample()
-        records = [study.record_of(metric.name) for metric in study.metrics]
-        self.summary = Summary(worst, 2.0 * reaching_time or 1.0, records)
+        records = map(study.record_of, study.measured)
+        self.summary = Summary(worst, 2.0 * reaching_time or 1.0, study.claims, records)
 
     def add(self, table: Runs) -> None:
         """Takes a table of decided rows in."""
@@ -89,9 +84,8 @@ class Evidence:
         interval = confidence_sequence if is_anytime else clopper_pearson
         rows = concatenate([*self.sample.rows, *summary.worst])
         error, checks = recheck(rows, solve, Rungs.of(self.study, settings))
-        claims = tuple(
-            _claim(summary, name, column, check, confidence, interval)
-            for name, column, check in zip(_STATEMENTS, CLAIMS, checks, strict=True)
+        *claims, all_together = (
+            _claim(claim, counts, checks[claim], confidence, interval) for claim, counts in summary.counts.items()
         )
         return Verification(
             study=self.study,
@@ -99,7 +93,8 @@ class Evidence:
             seed=seed,
             confidence=confidence,
             settings=settings,
-            claims=claims,
+            claims=tuple(claims),
+            together=all_together,
             worst=concatenate(summary.worst),
             numerical_error=error,
             escalated=effort.escalated,
@@ -126,9 +121,8 @@ def check_request(runs: int, confidence: float, worst: int, until: AbstractRule 
 
 
 def _claim(
-    summary: Summary,
     name: str,
-    column: str,
+    counts: Mapping[Verdict, int],
     check: ClaimCheck,
     confidence: float,
     interval: Callable[..., tuple[float, float]],
@@ -138,20 +132,12 @@ def _claim(
     The check samples: where it changes one verdict, others that it did not try may be as wrong. All that it did not
     confirm then count as undecided in the interval, which holds however many of them are.
     """
-    counts = summary.counts[column]
-    held, violated, undecided = counts[Verdict.HELD], counts[Verdict.VIOLATED], counts[Verdict.UNDECIDED]
-    total = held + violated + undecided
-    sure = (check.violated, total - check.held - check.violated) if check.changed else (violated, undecided)
-    low, high = interval(*sure, total, confidence)
-    return Claim(
-        name=name,
-        statement=_STATEMENTS[name],
-        held=held,
-        violated=violated,
-        undecided=undecided,
-        inadmissible=counts[Verdict.INADMISSIBLE],
-        low=low,
-        high=high,
-        changed=check.changed,
-        confirmed=check.violated,
-    )
+
+    def of_the_confirmed(violated: int, undecided: int, total: int, confidence: float) -> tuple[float, float]:
+        if check.changed:
+            violated, undecided = check.violated, total - check.held - check.violated
+        return interval(violated, undecided, total, confidence)
+
+    told = "all claims together" if name == TOGETHER else f"requirement {name} of the study"
+    about = {"name": name, "statement": STATEMENTS.get(name, told)}
+    return Claim.of(counts, confidence, of_the_confirmed, **about, changed=check.changed, confirmed=check.violated)

@@ -9,9 +9,10 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from qsmc_jax.metrics.claims import TOGETHER, together, verdict_column
 from qsmc_jax.metrics.standard import record_of
-from qsmc_jax.simulation.outcome import Verdict
-from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.verification.escalation import said
 from qsmc_jax.verification.rungs import RUNGS, Rungs
 
@@ -20,8 +21,8 @@ _LOG = logging.getLogger(__name__)
 # Runs that are kept to be solved again. A fault that changes one verdict in 100 is met in 99 % of samples of this size.
 SAMPLE = 512
 
-# Columns that are no metric, besides the drawn names: what is compared as a verdict, and what belongs to the solve.
-_NO_METRICS = (*CLAIMS, "index", "rung", "outcome", "steps")
+# Columns that are no metric, besides drawn names and verdicts: what belongs to the solve.
+_NO_METRICS = ("index", "rung", "outcome", "steps")
 
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 
@@ -114,7 +115,7 @@ class Sample:
         return self._kept
 
 
-def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, tuple[ClaimCheck, ...]]:
+def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, dict[str, ClaimCheck]]:
     """Solves decided rows again, each by the rung that checks the one that decided it, and compares.
 
     Args:
@@ -123,7 +124,7 @@ def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, tup
         rungs: Settings of each rung.
 
     Returns:
-        All changes, and what the check says of each claim.
+        All changes, and what the check says of each claim, and of all together.
     """
     _, first = np.unique(rows["index"], return_index=True)
     rows = rows.take(first)
@@ -136,9 +137,9 @@ def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, tup
         if len(part)
     ]
     if not pairs:
-        return NumericalError(0, math.nan, 0, 0, {}), (ClaimCheck(0, 0, 0),) * len(CLAIMS)
+        return NumericalError(0, math.nan, 0, 0, {}), dict.fromkeys((*rows.claims, TOGETHER), ClaimCheck(0, 0, 0))
     before, after = (concatenate(tables) for tables in zip(*pairs, strict=True))
-    was, now = np.array([before[claim] for claim in CLAIMS]), said(after)
+    was, now = before.verdicts, said(after)
     is_changed = _changed(was, now)
     is_known = is_changed.any(axis=0) | ~((was != Verdict.UNDECIDED) & (now == Verdict.UNDECIDED)).any(axis=0)
     is_same = was[0] == now[0]
@@ -149,22 +150,24 @@ def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, tup
         unchecked=int((~is_known).sum()),
         metrics=_metrics(before, after, is_same),
     )
-    return error, tuple(_claim_check(*claim) for claim in zip(was, now, is_changed, strict=True))
+    of_each = zip((*was, together(was)), (*now, together(now)), strict=True)
+    return error, {claim: _claim_check(*of) for claim, of in zip((*rows.claims, TOGETHER), of_each, strict=True)}
 
 
-def _changed(was: Int[np.ndarray, "claims rows"], now: Int[np.ndarray, "claims rows"]) -> Bool[np.ndarray, "..."]:
+def _changed(was: Int[np.ndarray, "..."], now: Int[np.ndarray, "..."]) -> Bool[np.ndarray, "..."]:
     """Where one solve says the opposite of the other; that one says nothing is no change."""
     return (was != now) & (was != Verdict.UNDECIDED) & (now != Verdict.UNDECIDED)
 
 
-def _claim_check(was: np.ndarray, now: np.ndarray, is_changed: np.ndarray) -> ClaimCheck:
+def _claim_check(was: np.ndarray, now: np.ndarray) -> ClaimCheck:
     held, violated = (int(((was == verdict) & (now == verdict)).sum()) for verdict in (Verdict.HELD, Verdict.VIOLATED))
-    return ClaimCheck(held, violated, int(is_changed.sum()))
+    return ClaimCheck(held, violated, int(_changed(was, now).sum()))
 
 
 def _metrics(before: Runs, after: Runs, is_same: Bool[np.ndarray, " rows"]) -> dict[str, Change]:
     """The largest change of every column that is a metric, over the given rows."""
-    names = [name for name in before if name not in (*_NO_METRICS, *before.names) and name in after]
+    no_metrics = (*_NO_METRICS, *before.names, *map(verdict_column, before.claims))
+    names = [name for name in before if name not in no_metrics and name in after]
     return {name: _change(before[name][is_same], after[name][is_same]) for name in names}
 
 

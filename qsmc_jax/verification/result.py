@@ -6,11 +6,14 @@ from typing import Any
 
 from qsmc_jax.base.notebook import as_html
 from qsmc_jax.base.short_repr import short_repr
-from qsmc_jax.simulation.outcome import Outcome, Verdict
+from qsmc_jax.metrics.claims import breached, breaching
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.probed import probed_functions, said_of_probed
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
+from qsmc_jax.verification.counts import HEADING, Counts
 from qsmc_jax.verification.numerical_error import NumericalError
 from qsmc_jax.verification.result_plots import plot_margin, plot_verification
 from qsmc_jax.verification.rungs import Rungs
@@ -19,18 +22,12 @@ from qsmc_jax.verification.summary import Histogram, Range
 
 
 @dataclasses.dataclass(frozen=True)
-class Claim:
-    """Counts for one claim of Theorem 1, and the interval of the probability that it is violated.
+class Claim(Counts):
+    """Counts for one claim, and the interval of the probability that it is violated.
 
     Attributes:
-        name: "funnel", "reaching" or "tracking".
+        name: "funnel", "reaching", "tracking", or the name of a requirement of the study.
         statement: What is claimed.
-        held: Runs in which it held.
-        violated: Runs in which it did not.
-        undecided: Runs that could not be decided; counted both ways in the interval.
-        inadmissible: Runs in which a premise does not hold; not counted in the interval.
-        low: Lower end of the interval.
-        high: Upper end of the interval.
         changed: Runs whose verdict changed when they were solved again another way, of a sample and the worst. With
             one, the interval counts as undecided every run that was not solved again or not confirmed.
         confirmed: Violated runs that were confirmed so.
@@ -38,12 +35,6 @@ class Claim:
 
     name: str
     statement: str
-    held: int
-    violated: int
-    undecided: int
-    inadmissible: int
-    low: float
-    high: float
     changed: int = 0
     confirmed: int = 0
 
@@ -60,6 +51,10 @@ class Claim:
         return Verdict.HELD if self.held else Verdict.INADMISSIBLE
 
 
+def _summary(claim: Claim) -> dict[str, Any]:
+    return {**dataclasses.asdict(claim), "verdict": claim.verdict.name}
+
+
 @dataclasses.dataclass(frozen=True)
 class Verification:
     """What `verify` found.
@@ -70,7 +65,8 @@ class Verification:
         seed: Their seed.
         confidence: Confidence of each interval.
         settings: Settings of the first solve.
-        claims: The three claims of Theorem 1.
+        claims: The three claims of Theorem 1, and the requirements of the study.
+        together: All of them holding together in one run.
         worst: The worst runs, most serious first.
         numerical_error: What changed in the runs that were solved again to check them.
         escalated: Runs solved again because they were doubtful: at a tighter tolerance, and by another method.
@@ -84,7 +80,7 @@ class Verification:
         is_anytime: Whether the intervals hold at all numbers of runs at once, as they must where one looked before
             stopping; else they are exact for this number.
         decision: What the stopping rule said; None without one, or if it said nothing.
-        ranges: What the study's own metrics were.
+        ranges: What the study's own metrics were, and the margins of its requirements.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -102,6 +98,7 @@ class Verification:
     confidence: float
     settings: SolverSettings
     claims: tuple[Claim, ...]
+    together: Claim
     worst: Runs
     numerical_error: NumericalError
     escalated: tuple[int, ...]
@@ -151,7 +148,8 @@ class Verification:
             "decision": self.decision,
             "bandwidth": float(self.study.bandwidth),
             "values": {name: value.tolist() for name, value in self.study.values.items()},
-            "claims": [{**dataclasses.asdict(claim), "verdict": claim.verdict.name} for claim in self.claims],
+            "claims": [_summary(claim) for claim in self.claims],
+            "together": _summary(self.together),
             "probed": list(probed_functions(self.study.nominal.loop)),
             "numerical_error": dataclasses.asdict(self.numerical_error),
             "firmer": {"rtol": float(firmer.rtol), "max_steps": firmer.max_steps, "method": firmer.method},
@@ -167,17 +165,18 @@ class Verification:
 
     def conclusion(self) -> str:
         """The finding in a sentence or two that can be quoted."""
-        funnel = self.claims[0]
-        admitted = funnel.held + funnel.violated + funnel.undecided
         sure = f"with {100 * self.confidence:g} % confidence" + (" at any time" if self.is_anytime else "")
-        interval = f"the probability of leaving the funnel lies in [{funnel.low:.3g}, {funnel.high:.3g}] {sure}"
+        whole = self.together if self.study.requirements else self.claims[0]
+        interval = f"the probability of {breaching(whole.name)} lies in [{whole.low:.3g}, {whole.high:.3g}] {sure}"
         if self.verdict == Verdict.VIOLATED:
             reasons = {Outcome(int(code)).advice for code in self.worst["outcome"] if code != Outcome.COMPLETED}
-            found = f"of {admitted} admissible runs {funnel.violated} left the funnel"
+            broken = [claim for claim in self.claims if claim.violated] or list(self.claims[:1])
+            told = ", ".join(f"{claim.violated} {breached(claim.name)}" for claim in broken)
+            found = f"of {whole.total} admissible runs {told}"
             return " ".join((f"VIOLATED: {found}; {interval}.", *sorted(reasons), *self._of_the_check()))
         if self.verdict == Verdict.UNDECIDED:
             return f"UNDECIDED: {self._doubts()} Counting undecided runs both ways, {interval}."
-        return " ".join((f"HELD in all {admitted} admissible runs: {interval}.", *self._of_the_check()))
+        return " ".join((f"HELD in all {whole.total} admissible runs: {interval}.", *self._of_the_check()))
 
     def _of_the_check(self) -> list[str]:
         """What is to be said of the runs that were solved again to check them; nothing if they were all confirmed."""
@@ -201,7 +200,7 @@ class Verification:
         doubts = [f"{c.undecided} runs undecided on {c.name}." for c in self.claims if c.undecided]
         nominal = self.study.nominal
         t_r, t1 = float(nominal.loop.control.funnel.reaching_time(self.study.bandwidth)), float(nominal.t1)
-        if t_r >= t1 and any(c.undecided for c in self.claims[1:]):
+        if t_r >= t1 and any(c.undecided for c in self.claims[1:3]):
             doubts.append(f"The reaching time {t_r:.4g} s lies beyond the horizon {t1:.4g} s: make `t1` longer.")
         doubts += [f"No admissible run for {c.name}." for c in self.claims if c.verdict == Verdict.INADMISSIBLE]
         if self.defects:
@@ -251,12 +250,10 @@ class Verification:
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {self.study.bandwidth:g}"]
-        rows.append(
-            f"{'claim':10}{'held':>9}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   violation probability"
-        )
-        for c in self.claims:
-            counts = f"{c.held:9d}{c.violated:10d}{c.undecided:11d}{c.inadmissible:14d}"
-            rows.append(f"{c.name:10}{counts}   [{c.low:.3g}, {c.high:.3g}]")
+        shown = (*self.claims, self.together) if self.study.requirements else self.claims
+        width = max(10, *(len(claim.name) + 1 for claim in shown))
+        rows.append(f"{'claim':{width}}{HEADING}   violation probability")
+        rows += [f"{claim.name:{width}}{claim.row()}" for claim in shown]
         rows += map(str, self.ranges)
         rows.append(self.conclusion())
         if probed := said_of_probed(self.study.nominal.loop):

@@ -6,56 +6,25 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from qsmc_jax.base.checks import require, require_count, require_finite, require_fraction
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.short_repr import short_repr
-from qsmc_jax.simulation.outcome import Verdict
+from qsmc_jax.metrics.claims import breaching, require_claim, verdict_column
+from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.draw import check_values
 from qsmc_jax.study.monte_carlo import Progress
-from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study, require_study
+from qsmc_jax.verification.counts import HEADING, Counts
 from qsmc_jax.verification.decided import decide, part_of
 from qsmc_jax.verification.limits import Threshold, limits
 from qsmc_jax.verification.robustness_plots import plot_map
 from qsmc_jax.verification.simultaneous import simultaneous_intervals
 
-CLAIM_NAMES = ("funnel", "reaching", "tracking")
 METRICS = ("peak_ratio", "excess_variation_u", "reversal_rate")
-
-
-@dataclasses.dataclass(frozen=True)
-class ClaimMap:
-    """What was found for one claim of Theorem 1, an array a field and a cell of the grid an entry.
-
-    Attributes:
-        held: Runs in which it held.
-        violated: Runs in which it did not.
-        undecided: Runs that could not be decided; counted both ways in the interval.
-        inadmissible: Runs in which a premise does not hold; not counted in the interval.
-        low: Lower ends of the intervals of the violation probability.
-        high: Upper ends.
-    """
-
-    held: Int[np.ndarray, "*cells"]
-    violated: Int[np.ndarray, "*cells"]
-    undecided: Int[np.ndarray, "*cells"]
-    inadmissible: Int[np.ndarray, "*cells"]
-    low: Float[np.ndarray, "*cells"]
-    high: Float[np.ndarray, "*cells"]
-
-    @property
-    def total(self) -> Int[np.ndarray, "*cells"]:
-        """Admissible runs."""
-        return self.held + self.violated + self.undecided
-
-    @property
-    def estimate(self) -> Float[np.ndarray, "*cells"]:
-        """Violated runs over admissible ones; NaN where there are none."""
-        total = self.total
-        return np.where(total > 0, self.violated / np.maximum(total, 1), np.nan)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,13 +35,14 @@ class RobustnessMap:
         study: The study.
         names: The names that were swept, one or two.
         grids: Their values.
-        claims: "funnel", "reaching" and "tracking".
+        claims: By its name, each claim of Theorem 1 and each requirement of the study, an entry a cell.
         medians: Medians of some figures over the runs of a cell, in which a run that left the funnel or could not be
             decided and has no figure counts as infinite; NaN where no run has one.
         runs: Runs of each cell, the same ones in all.
         seed: Their seed.
         confidence: That all intervals of one claim hold together.
         thresholds: Lines to draw; see `limits`.
+        claim: The claim that is printed and drawn.
         scales: By name, the factor that makes its values dimensionless and the label of the axis then.
 
     Examples:
@@ -93,28 +63,34 @@ class RobustnessMap:
     study: Study
     names: tuple[str, ...]
     grids: tuple[Float[np.ndarray, " _"], ...]
-    claims: Mapping[str, ClaimMap]
+    claims: Mapping[str, Counts]
     medians: Mapping[str, np.ndarray]
     runs: int
     seed: int
     confidence: float
     thresholds: tuple[Threshold, ...] = ()
     scales: Mapping[str, tuple[float, str]] = dataclasses.field(default_factory=dict)
+    claim: str = "funnel"
 
     @property
-    def funnel(self) -> ClaimMap:
+    def funnel(self) -> Counts:
         """The funnel claim, |sigma(t)| < rho(t) for all t."""
         return self.claims["funnel"]
 
     @property
+    def shown(self) -> Counts:
+        """The claim that is printed and drawn."""
+        return self.claims[self.claim]
+
+    @property
     def low(self) -> np.ndarray:
-        """Lower ends of the intervals of the probability of leaving the funnel."""
-        return self.funnel.low
+        """Lower ends of the intervals of the probability of violating `claim`."""
+        return self.shown.low
 
     @property
     def high(self) -> np.ndarray:
-        """Upper ends of the intervals of the probability of leaving the funnel."""
-        return self.funnel.high
+        """Upper ends of the intervals of the probability of violating `claim`."""
+        return self.shown.high
 
     def table(self) -> dict[str, np.ndarray]:
         """Everything as columns, a row a cell: the values, and for each claim the counts and the interval."""
@@ -132,6 +108,7 @@ class RobustnessMap:
             "runs": self.runs,
             "seed": self.seed,
             "confidence": self.confidence,
+            "claim": self.claim,
             "bandwidth": float(self.study.bandwidth),
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": {name: _lists(vars(claim)) for name, claim in self.claims.items()},
@@ -159,7 +136,7 @@ class RobustnessMap:
         return as_html(str(self), self.plot)
 
     def plot(self, ax: Any = None, *, dimensionless: bool = False) -> Any:
-        """The probability of leaving the funnel over the grid, and the medians, with the thresholds as lines.
+        """The probability of violating the claim over the grid, and the medians, with the thresholds as lines.
 
         Args:
             ax: One matplotlib `Axes` and one more for each known median; None for a new figure, which also gets a
@@ -179,9 +156,9 @@ class RobustnessMap:
     __repr__ = short_repr
 
     def __str__(self) -> str:
-        cells = self.funnel.held.size
+        cells = self.shown.held.size
         head = (
-            f"{cells} cells of the same {self.runs} runs, seed {self.seed}: probability of leaving the funnel\n"
+            f"{cells} cells of the same {self.runs} runs, seed {self.seed}: probability of {breaching(self.claim)}\n"
             f"All {cells} intervals hold together with {100 * self.confidence:g} % confidence."
         )
         body = _rows(self) if len(self.names) == 1 else _picture(self)
@@ -197,6 +174,7 @@ def robustness_map(
     seed: int = 0,
     confidence: float = 0.95,
     *,
+    claim: str = "funnel",
     settings: SolverSettings | None = None,
     block: int | None = None,
     threads: int | None = None,
@@ -215,6 +193,7 @@ def robustness_map(
         runs: Runs of each cell, at least 1.
         seed: Seed, 0 <= seed < 2**63.
         confidence: That all intervals of one claim hold together, strictly between 0 and 1.
+        claim: The claim to print and draw: "funnel", "reaching", "tracking" or a requirement; all are counted.
         settings: Method and tolerances of the first solve; None for the defaults.
         block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
         threads: Blocks solved at the same time; None for one a core of a CPU.
@@ -241,13 +220,14 @@ def robustness_map(
         ([0, 64], [0.07, 1.0])
     """
     require_study(study)
+    require_claim("claim", claim, study.claims)
     require_count("runs", runs)
     require_fraction("confidence", confidence)
     require(1 <= len(over) <= 2, f"Argument `over` must have one or two names, but has {len(over)}.")
     names, grids = tuple(over), tuple(_grid(study, name, values) for name, values in over.items())
     cells = [study.substitute(**dict(zip(names, values, strict=True))) for values in it.product(*grids)]
     settings, total = settings or SolverSettings(), runs * len(cells)
-    tables, wanted = [], (*METRICS, *(metric.name for metric in study.metrics))
+    tables, wanted = [], (*METRICS, *study.measured)
     for number, cell in enumerate(cells):
         told = part_of(progress, number * runs, total)
         rows = decide(cell, range(runs), seed, settings=settings, block=block, threads=threads, progress=told)
@@ -257,10 +237,7 @@ def robustness_map(
         study=study,
         names=names,
         grids=grids,
-        claims={
-            name: _claim_map(tables, column, shape, confidence)
-            for name, column in zip(CLAIM_NAMES, CLAIMS, strict=True)
-        },
+        claims={claim: _counts(tables, claim, shape, confidence) for claim in tables[0].claims},
         medians={
             name: np.array([_median(table, name) for table in tables]).reshape(shape)
             for name in wanted
@@ -271,6 +248,7 @@ def robustness_map(
         confidence=confidence,
         thresholds=known.thresholds,
         scales=known.scales,
+        claim=claim,
     )
 
 
@@ -291,18 +269,14 @@ def _grid(study: Study, name: str, values: Any) -> Float[np.ndarray, " _"]:
 
 def _kept(table: Runs, metrics: tuple[str, ...]) -> Runs:
     """The columns that a map needs."""
-    return Runs({name: table[name] for name in ("index", *CLAIMS, *metrics) if name in table.columns}, ())
+    wanted = ("index", *map(verdict_column, table.claims), *metrics)
+    return Runs({name: table[name] for name in wanted if name in table.columns}, ())
 
 
-def _claim_map(tables: list[Runs], column: str, shape: tuple[int, ...], confidence: float) -> ClaimMap:
-    counts = [table.counts(column) for table in tables]
-
-    def of(verdict: Verdict) -> np.ndarray:
-        return np.array([count[verdict] for count in counts], np.int64).reshape(shape)
-
-    held, violated, undecided = of(Verdict.HELD), of(Verdict.VIOLATED), of(Verdict.UNDECIDED)
-    low, high = simultaneous_intervals(violated, undecided, held + violated + undecided, confidence)
-    return ClaimMap(held, violated, undecided, of(Verdict.INADMISSIBLE), low, high)
+def _counts(tables: list[Runs], claim: str, shape: tuple[int, ...], confidence: float) -> Counts:
+    counts = [table.counts(claim) for table in tables]
+    cells = {verdict: np.array([count[verdict] for count in counts], np.int64).reshape(shape) for verdict in Verdict}
+    return Counts.of(cells, confidence, simultaneous_intervals)
 
 
 def _median(table: Runs, name: str) -> float:
@@ -319,24 +293,22 @@ def _lists(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 def _rows(found: RobustnessMap) -> Iterator[str]:
     """A line a value."""
-    funnel = found.funnel
-    yield f"{found.names[0]:>14}{'held':>8}{'violated':>10}{'undecided':>11}{'inadmissible':>14}   interval"
+    yield f"{found.names[0]:>14}{HEADING}   interval"
     for i, value in enumerate(found.grids[0]):
-        counts = f"{funnel.held[i]:8d}{funnel.violated[i]:10d}{funnel.undecided[i]:11d}{funnel.inadmissible[i]:14d}"
-        yield f"{value:14.6g}{counts}   [{funnel.low[i]:.3g}, {funnel.high[i]:.3g}]"
+        yield f"{value:14.6g}{found.shown.row(i)}"
 
 
 def _picture(found: RobustnessMap) -> Iterator[str]:
     """A character a cell, the second name upwards."""
-    funnel = found.funnel
+    shown = found.shown
     (x, y), (xs, ys) = found.names, found.grids
-    clean = (funnel.violated == 0) & (funnel.undecided == 0) & (funnel.total > 0)
-    conditions = [funnel.total == 0, funnel.estimate >= 0.5, funnel.violated > 0, funnel.undecided > 0]
+    clean = (shown.violated == 0) & (shown.undecided == 0) & (shown.total > 0)
+    conditions = [shown.total == 0, shown.estimate >= 0.5, shown.violated > 0, shown.undecided > 0]
     marks = np.select(conditions, [" ", "#", "+", "?"], ".")
     yield f"`{x}` to the right, {xs[0]:.6g} to {xs[-1]:.6g}; `{y}` upwards, {ys[0]:.6g} to {ys[-1]:.6g}"
     for j in reversed(range(len(ys))):
         yield f"{ys[j]:14.6g}  {''.join(marks[:, j])}"
     yield "'.' no run violated, '+' less than half, '#' half or more, '?' none but some undecided, ' ' none admissible"
-    least = float(funnel.high[clean].min()) if clean.any() else float("nan")
+    least = float(shown.high[clean].min()) if clean.any() else float("nan")
     sound = f"{int(clean.sum())} have runs, none of them violated or undecided"
     yield f"Of {marks.size} cells {sound}; the best of them lies below {least:.3g}."

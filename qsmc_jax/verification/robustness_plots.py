@@ -8,6 +8,7 @@ import numpy as np
 
 from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, panels
 from qsmc_jax.base.scales import spans_decade
+from qsmc_jax.metrics.claims import breaching
 from qsmc_jax.verification.statistics import zero_failure_bound
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ Scales = Mapping[str, tuple[float, str]]
 
 # Line of each kind of threshold.
 _LINES = {"local": (PURPLE, ":"), "sufficient": (GREEN, "-."), "necessary": (RED, "--")}
-_PROBABILITY = "probability of leaving the funnel"
 # Above this an interval without any violation is too wide for a logarithmic axis to show more than a linear one.
 _WIDEST_FOR_LOG = 0.05
 # How much wider than the interval without any violation a level to be drawn must be.
@@ -56,18 +56,18 @@ def plot_map(result: "RobustnessMap", scales: Scales, ax: Any = None) -> Any:
 
 
 def _curve(ax: Any, result: "RobustnessMap", scales: Scales) -> None:
-    funnel, values = result.funnel, _values(result, scales, 0)
-    ax.fill_between(values, funnel.low, funnel.high, color=SKY, alpha=0.4, lw=0.0, label="simultaneous interval")
-    ax.plot(values, funnel.estimate, ".-", color=BLUE, label="violated / admissible runs")
-    if np.any(funnel.undecided):
-        share = funnel.undecided / np.maximum(funnel.total, 1)
+    shown, values = result.shown, _values(result, scales, 0)
+    ax.fill_between(values, shown.low, shown.high, color=SKY, alpha=0.4, lw=0.0, label="simultaneous interval")
+    ax.plot(values, shown.estimate, ".-", color=BLUE, label="violated / admissible runs")
+    if np.any(shown.undecided):
+        share = shown.undecided / np.maximum(shown.total, 1)
         ax.plot(values, share, "x:", color=GREY, label="undecided / admissible runs")
     _horizontal(ax, result, scales)
-    ax.set_ylabel(_PROBABILITY)
+    ax.set_ylabel(_probability(result))
     least = zero_failure_bound(result.runs, result.confidence)
     if least < _WIDEST_FOR_LOG:
         ax.set_yscale("symlog", linthresh=least)
-        ax.set_ylabel(f"{_PROBABILITY} (linear below {least:.1g})")
+        ax.set_ylabel(f"{_probability(result)} (linear below {least:.1g})")
     ax.set_ylim(-0.05 * least, 1.1)
 
 
@@ -83,22 +83,22 @@ def _mesh(ax: Any, result: "RobustnessMap", scales: Scales) -> None:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap, Normalize, SymLogNorm
 
-    funnel = result.funnel
+    shown = result.shown
     least = zero_failure_bound(result.runs, result.confidence)
     norm = SymLogNorm(least, vmin=0.0, vmax=1.0) if least < _WIDEST_FOR_LOG else Normalize(0.0, 1.0)
     colours = LinearSegmentedColormap.from_list("white to blue", ["white", SKY, BLUE, "#00263d"]).with_extremes(
         bad=GREY
     )
-    edges = _coloured(ax, result, scales, funnel.estimate, colours, norm, _PROBABILITY)
-    borders = [(funnel.low > 0.0, "-", "a run is violated")]
-    level = _level(float(funnel.high.min()))
+    edges = _coloured(ax, result, scales, shown.estimate, colours, norm, _probability(result))
+    borders = [(shown.low > 0.0, "-", "a run is violated")]
+    level = _level(float(shown.high.min()))
     if level is not None:
-        borders.append((funnel.high < level, ":", f"surely below {level:g}"))
+        borders.append((shown.high < level, ":", f"surely below {level:g}"))
     for mask, style, label in borders:
         segments = list(_border(mask, *edges))
         if segments:
             ax.add_collection(LineCollection(segments, colors=ORANGE, linestyles=style, linewidths=2.2, label=label))
-    if not np.all(np.isfinite(funnel.estimate)):
+    if not np.all(np.isfinite(shown.estimate)):
         ax.plot([], [], "s", color=GREY, label="no admissible run")
 
 
@@ -196,3 +196,7 @@ def _level(least: float) -> float | None:
     """The least of 0.5, 0.2, 0.1, 0.05 ... that is clearly above the least upper end; None if there is none."""
     levels = [mantissa * 10.0**-power for power in range(1, 17) for mantissa in (5, 2, 1)]
     return min((level for level in levels if level >= _CLEAR * least), default=None)
+
+
+def _probability(result: "RobustnessMap") -> str:
+    return f"probability of {breaching(result.claim)}"

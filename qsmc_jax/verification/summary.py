@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, margin_column, together, verdict_column
 from qsmc_jax.metrics.record import Record
-from qsmc_jax.simulation.outcome import Verdict
-from qsmc_jax.study.runs import CLAIMS, Runs, concatenate
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.study.runs import Runs, concatenate, count_verdicts
 
 _BINS = 60
 
@@ -100,7 +101,7 @@ class Summary:
     """Takes tables in any order.
 
     Attributes:
-        counts: Runs with each verdict, by claim.
+        counts: Runs with each verdict, by claim, and of all claims together.
         worst: The worst rows so far, as at most one table.
         margin: Histogram of 1 - sup |sigma|/rho.
         reach: Histogram of the reach time [s].
@@ -109,16 +110,17 @@ class Summary:
         ranges: What the study's own metrics were.
     """
 
-    def __init__(self, worst: int, longest_reach: float, records: Iterable[Record] = ()):
+    def __init__(self, worst: int, longest_reach: float, claims: Iterable[str], records: Iterable[Record] = ()):
         """Empty.
 
         Args:
             worst: How many of the worst rows to keep.
             longest_reach: End of the histogram of reach times [s].
-            records: What is known of the study's own metrics.
+            claims: The claims of the study.
+            records: What is known of the study's own metrics and margins.
         """
         self.ranges = tuple(map(Range, records))
-        self.counts = {claim: dict.fromkeys(Verdict, 0) for claim in CLAIMS}
+        self.counts = {claim: dict.fromkeys(Verdict, 0) for claim in (*claims, TOGETHER)}
         self.worst: list[Runs] = []
         self.margin = Histogram.over(0.0, 1.0)
         self.reach = Histogram.over(0.0, longest_reach)
@@ -128,9 +130,10 @@ class Summary:
 
     def add(self, table: Runs) -> None:
         """Takes a table in."""
-        for claim in CLAIMS:
-            for verdict, count in table.counts(claim).items():
-                self.counts[claim][verdict] += count
+        for claim, counts in self.counts.items():
+            each = together(table.verdicts) if claim == TOGETHER else table[verdict_column(claim)]
+            for verdict, count in count_verdicts(each).items():
+                counts[verdict] += count
         self.margin.add(table["margin"])
         self.reach.add(table["reach_time"])
         self.steps += int(table["steps"].sum())
@@ -141,14 +144,29 @@ class Summary:
         self.worst = [worst_of([*self.worst, table], self._keep)]
 
 
-def worst_of(tables: Sequence[Runs], count: int) -> Runs:
+def worst_of(tables: Sequence[Runs], count: int, claim: str | None = None) -> Runs:
     """The worst rows of some tables, so many at most, the worst first."""
     candidates = concatenate(tables)
-    return candidates.take(worst_first(candidates)[:count])
+    return candidates.take(worst_first(candidates, claim)[:count])
 
 
-def worst_first(table: Runs) -> np.ndarray:
-    """Row numbers: VIOLATED, UNDECIDED, HELD by rising margin, INADMISSIBLE; of equals the lower index first."""
+def worst_first(table: Runs, claim: str | None = None) -> np.ndarray:
+    """Row numbers: VIOLATED, UNDECIDED, HELD by rising margin, INADMISSIBLE; of equals the lower index first.
+
+    Args:
+        table: The rows.
+        claim: The claim; None for the funnel first, and of equals the requirements.
+    """
+    own = [each for each in table.claims if each not in STATEMENTS] if claim is None else []
+    margin = table[margin_column(claim or "funnel")]
+    # What has no margin, since it was not followed to the end, is as bad as its verdict.
+    keys = [table["index"], np.where(np.isnan(margin), 0.0, margin)]
+    if own:
+        keys.append(_rank(together(np.array([table[verdict_column(each)] for each in own]))))
+    keys.append(_rank(table[verdict_column(claim or "funnel")]))
+    return np.lexsort(keys)
+
+
+def _rank(verdicts: np.ndarray) -> np.ndarray:
     order = (Verdict.VIOLATED, Verdict.UNDECIDED, Verdict.HELD)
-    rank = np.select([table["verdict"] == verdict for verdict in order], range(3), 3)
-    return np.lexsort((table["index"], np.nan_to_num(table["margin"]), rank))
+    return np.select([verdicts == verdict for verdict in order], range(3), 3)

@@ -94,7 +94,7 @@ def verify(
                 evidence.add(table)
                 if sink is not None:
                     sink(table)
-            decision = decision_of(until, evidence.summary.counts["verdict"], confidence)
+            decision = decision_of(until, evidence.summary.counts["funnel"], confidence)
             if decision is not None:
                 break
         seconds = time.perf_counter() - begin

@@ -1,0 +1,121 @@
+"""The claims that a run is judged by: the three of Theorem 1, and the requirements of the study."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from qsmc_jax.base.checks import nearest, require
+from qsmc_jax.metrics.verdict import Verdict
+
+# What Theorem 1 claims, by the names of the claims.
+STATEMENTS = {
+    "funnel": "|sigma(t)| < rho(t) for all t",
+    "reaching": "|sigma(t)| < bandwidth for all t >= t_r",
+    "tracking": "|e^(i)(t)| <= bandwidth ||G_i||_1 for all t >= t_s and all i",
+}
+# What a run does that violates one of them.
+_BREACHES = {
+    "funnel": ("leaving the funnel", "left the funnel"),
+    "reaching": ("leaving the bandwidth", "left the bandwidth"),
+    "tracking": ("exceeding an error bound", "exceeded an error bound"),
+}
+# All claims holding together, as it is called where claims have names.
+TOGETHER = "all"
+
+_FUNNEL, _PREFIX = "verdict", "verdict_"
+# Of several verdicts the first of these that there is.
+_GRAVEST = (Verdict.VIOLATED, Verdict.UNDECIDED, Verdict.INADMISSIBLE)
+
+
+def verdict_column(claim: str) -> str:
+    """The column of the verdicts on a claim.
+
+    Args:
+        claim: Its name.
+    """
+    return _FUNNEL if claim == "funnel" else f"{_PREFIX}{claim}"
+
+
+def margin_column(claim: str) -> str:
+    """The column of the margins of a requirement; of a claim of Theorem 1 that of the funnel.
+
+    Args:
+        claim: Its name.
+    """
+    return "margin" if claim in STATEMENTS else f"margin_{claim}"
+
+
+def require_no_claim(name: str) -> None:
+    """Raises if a column of this name would look like the verdicts on a claim.
+
+    Args:
+        name: The name.
+    """
+    require(not claims_of([name]), f"Argument `name` must not begin with '{_PREFIX}', but is '{name}'. Choose another.")
+
+
+def require_claim(argument: str, claim: str, claims: Iterable[str]) -> None:
+    """Raises unless there is such a claim.
+
+    Args:
+        argument: Name of the argument that says it.
+        claim: Its name.
+        claims: The claims that there are.
+    """
+    known = tuple(claims)
+    listed = f"{nearest(claim, known)} There are: {', '.join(known)}."
+    require(claim in known, f"Argument `{argument}` must be the name of a claim, but is `{claim}`.{listed}")
+
+
+def breaching(claim: str) -> str:
+    """Violating a claim, in words.
+
+    Args:
+        claim: Its name, or that of all together.
+    """
+    return "violating a claim" if claim == TOGETHER else _BREACHES.get(claim, (f"violating {claim}",))[0]
+
+
+def breached(claim: str) -> str:
+    """What a run did that violated a claim, in words.
+
+    Args:
+        claim: Its name.
+    """
+    return _BREACHES.get(claim, ("", f"violated {claim}"))[1]
+
+
+def told_of_breaches(row: Mapping[str, Any]) -> str:
+    """What a run did that violated any claim but the funnel's, with the margins of requirements; empty if nothing.
+
+    Args:
+        row: Its row.
+    """
+    found = [claim for claim in claims_of(row) if claim != "funnel" and row[verdict_column(claim)] == Verdict.VIOLATED]
+    margins = {claim: "" if claim in STATEMENTS else f" by {-row[margin_column(claim)]:.4g}" for claim in found}
+    return ", ".join(f"{breached(claim)}{margin}" for claim, margin in margins.items())
+
+
+def claims_of(columns: Iterable[str]) -> tuple[str, ...]:
+    """The claims whose verdicts are among some columns.
+
+    Args:
+        columns: The columns.
+    """
+    return tuple(
+        "funnel" if column == _FUNNEL else column.removeprefix(_PREFIX)
+        for column in columns
+        if column == _FUNNEL or column.startswith(_PREFIX)
+    )
+
+
+def together(verdicts: Int[np.ndarray, "claims rows"]) -> Int[np.ndarray, " rows"]:
+    """The verdict on all claims together: the gravest.
+
+    Args:
+        verdicts: Those on each.
+    """
+    cases = [(verdicts == verdict).any(axis=0) for verdict in _GRAVEST]
+    return np.select(cases, list(map(int, _GRAVEST)), int(Verdict.HELD))

@@ -1,0 +1,125 @@
+r"""Where in a step a function of the signals is highest, and how high it can be.
+
+It is looked at, with its slope, at five nodes. Of the stretches between them in which it turns from rising to falling,
+the one whose tangents meet highest is narrowed: in turns where the tangents of its ends meet, which is next to a kink,
+and as far beyond that as the function lies below the tangents there, so that the stretch closes in from both sides; at
+last where the cubic through its ends turns, which is next to a smooth peak.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from qsmc_jax.base import trees
+from qsmc_jax.base.hermite import Cubic
+from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.metrics.metric import NODES, View
+from qsmc_jax.metrics.signals import Signals
+
+# How often a stretch is narrowed from both sides before the cubic is asked.
+_ROUNDS = 2
+# Part of a stretch by which every place keeps off its ends: one that lies next to a peak would never get closer.
+_OFF = 0.02
+# How much farther than the tangents say one goes to be on the other side.
+_BEYOND = 2.5
+
+
+class Summit(NamedTuple):
+    """The highest point of a function in a step.
+
+    Attributes:
+        place: Where, from 0 to 1.
+        height: How high it is there.
+        bound: What it does not exceed, if it turns once at most between two nodes, and gets no steeper in the last bit
+            that its peak was narrowed to.
+    """
+
+    place: RealScalarLike
+    height: Float[Array, ""]
+    bound: Float[Array, ""]
+
+
+class _Point(NamedTuple):
+    place: Float[Array, "..."]
+    value: Float[Array, "..."]
+    slope: Float[Array, "..."]
+
+
+def summit(function: Callable[[Signals], Float[Array, ""]], view: View) -> Summit:
+    """The highest point of a function of the signals in a step; NaN if it is no number at some place looked at.
+
+    Args:
+        function: The function.
+        view: The step.
+    """
+
+    def at(place: Float[Array, ""], left: _Point, right: _Point) -> _Point:
+        off = _OFF * (right.place - left.place)
+        place = jax.lax.stop_gradient(jnp.clip(place, left.place + off, right.place - off))
+        value, slope = jax.jvp(lambda theta: function(view.step.at(theta)), (place,), (jnp.ones(()),))
+        return _Point(place, value, jnp.nan_to_num(slope))
+
+    values, slopes = jax.vmap(lambda *now: jax.jvp(function, *((each,) for each in now)))(view.nodes, view.rates)
+    nodes = _Point(jnp.array(NODES), values, jnp.nan_to_num(slopes))
+    lefts, rights = _Point(*(each[:-1] for each in nodes)), _Point(*(each[1:] for each in nodes))
+    tops = jax.lax.stop_gradient(_meeting(lefts, rights).value)
+    # Of two as high, as neighbours of a node are, the one that has a peak inside.
+    chosen = jnp.argmax(jnp.where(tops >= tops.max(), 1.0 + _has_peak(lefts, rights).astype(float), 0.0))
+    left, right = _Point(*(each[chosen] for each in lefts)), _Point(*(each[chosen] for each in rights))
+    found = []
+    for _ in range(_ROUNDS):
+        meeting, falls = _meeting(left, right), left.slope - right.slope
+        point = at(meeting.place, left, right)
+        lack = _BEYOND * jnp.abs(meeting.value - point.value) / jnp.where(falls == 0.0, jnp.inf, falls)
+        left, right = _narrowed(left, right, point)
+        beyond = at(point.place + jnp.where(point.slope > 0.0, lack, -lack), left, right)
+        left, right = _narrowed(left, right, beyond)
+        found += [point, beyond]
+    for turn in (_tangents_meet, _cubic_turns):
+        point = at(turn(left, right), left, right)
+        left, right = _narrowed(left, right, point)
+        found.append(point)
+    places = jnp.concatenate([nodes.place, jnp.stack([point.place for point in found])])
+    heights = jnp.concatenate([values, jnp.stack([point.value for point in found])])
+    best, width = jnp.argmax(heights), right.place - left.place
+    steepest = jnp.maximum(left.value + left.slope * width, right.value - right.slope * width)
+    top = jnp.where(_has_peak(left, right), steepest, -jnp.inf)
+    bound = jnp.maximum(jnp.maximum(top, tops.at[chosen].set(-jnp.inf).max()), heights[best])
+    return Summit(places[best], heights[best], jax.lax.stop_gradient(bound))
+
+
+def _has_peak(left: _Point, right: _Point) -> Bool[Array, "..."]:
+    return (left.slope > 0.0) & (right.slope < 0.0)
+
+
+def _narrowed(left: _Point, right: _Point, point: _Point) -> tuple[_Point, _Point]:
+    """The part of a stretch in which the function still turns from rising to falling."""
+    is_rising = point.slope > 0.0
+    return trees.where(is_rising, point, left), trees.where(is_rising, right, point)
+
+
+class _Meeting(NamedTuple):
+    place: Float[Array, "..."]
+    value: Float[Array, "..."]
+
+
+def _meeting(left: _Point, right: _Point) -> _Meeting:
+    """Where the tangents meet, and how high: at least as high as the ends, and there if the function does not peak."""
+    place = _tangents_meet(left, right)
+    height, ends = left.value + left.slope * (place - left.place), jnp.maximum(left.value, right.value)
+    return _Meeting(place, jnp.where(_has_peak(left, right), jnp.maximum(height, ends), ends))
+
+
+def _tangents_meet(left: _Point, right: _Point) -> Float[Array, "..."]:
+    falls = left.slope - right.slope
+    lack = right.value - left.value - right.slope * (right.place - left.place)
+    return jnp.clip(left.place + lack / jnp.where(falls == 0.0, jnp.inf, falls), left.place, right.place)
+
+
+def _cubic_turns(left: _Point, right: _Point) -> Float[Array, "..."]:
+    length = right.place - left.place
+    low, high = Cubic(left.value, right.value, length * left.slope, length * right.slope).turning_points()
+    return left.place + length * jnp.where(low > 0.0, low, high)

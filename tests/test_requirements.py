@@ -1,0 +1,349 @@
+"""Requirements of one's own: margins against SciPy, verdicts against closed forms, and everywhere they should show."""
+
+import math
+import sys
+import warnings
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+
+import problems
+import qsmc_jax as qj
+from qsmc_jax.metrics.metric import Extent
+from qsmc_jax.metrics.requirements import Highest, Margin
+from studies_for_tests import Integrator
+from test_against_scipy import MU, RHO_INF, T1, rate, rho0, sigma, start, surface
+
+HELD, VIOLATED, UNDECIDED, INADMISSIBLE = qj.Verdict
+GRID = np.linspace(0.0, T1, 200_001)
+
+
+def scipys(n):
+    """State, input and first error of the loops of `test_against_scipy` on a fine grid."""
+    options = {"rtol": 1e-11, "atol": 1e-13, "max_step": 0.01, "t_eval": GRID}
+    x = scipy.integrate.solve_ivp(rate, (0.0, T1), start(n), "Radau", args=(1.0,), **options).y
+    ratio = np.array([sigma(t, at) for t, at in zip(GRID, x.T, strict=True)]) / (rho0(n) * np.exp(-MU * GRID) + RHO_INF)
+    return x, -np.tan(0.5 * math.pi * ratio), x[0] - np.sin(GRID)
+
+
+def loops(n):
+    plant = problems.chain(n)(1.0, 2.0, 1.0 / 3.0, 0.5)
+    control = qj.QuasiSlidingControl(qj.SlidingSurface(surface(n)[:-1]), qj.Funnel(rho0(n), MU, RHO_INF))
+    loop = qj.ClosedLoop(plant, qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Sine(0.5, 3.0), control)
+    return lambda draw: qj.Scenario(loop, x0=start(n), t1=T1)
+
+
+# Names out of their order in the alphabet, as users have them.
+LIMIT = qj.always(lambda s: 9.0 - jnp.abs(s.u))
+CLOSE = qj.always(lambda s: 0.8 - jnp.abs(s.e[0]), after=0.4, before=1.7)
+NEAR = qj.eventually(lambda s: -jnp.abs(s.x[0] - 0.35), before=1.3)
+REQUIREMENTS = {
+    "limit": LIMIT,
+    "close": CLOSE,
+    "approach": NEAR,
+    "both": LIMIT & CLOSE,
+    "any": CLOSE | NEAR,
+    "avoid": ~NEAR,
+    "follow": LIMIT.implies(NEAR),
+    "between": ~(~LIMIT | ~CLOSE) & NEAR.implies(CLOSE),
+}
+
+
+@pytest.mark.parametrize("n", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_margins_agree_with_scipy(n):
+    x, u, e = scipys(n)
+    middle, early = (GRID >= 0.4) & (GRID <= 1.7), GRID <= 1.3
+    limit, close = 9.0 - abs(u).max(), 0.8 - abs(e)[middle].max()
+    near = -abs(x[0] - 0.35)[early].min()
+    expected = {
+        "limit": limit,
+        "close": close,
+        "approach": near,
+        "both": min(limit, close),
+        "any": max(close, near),
+        "avoid": -near,
+        "follow": max(-limit, near),
+        "between": min(limit, close, max(-near, close)),
+    }
+    runs = qj.monte_carlo(qj.Study(loops(n), bandwidth=0.2, requirements=REQUIREMENTS), 1)
+    margins = {name: runs[f"margin_{name}"][0] for name in REQUIREMENTS}
+    assert margins == pytest.approx(expected, abs=1e-5)
+    for name, margin in expected.items():
+        sure = HELD if margin > 1e-3 else VIOLATED if margin < -1e-3 else UNDECIDED
+        assert runs[f"verdict_{name}"][0] == sure, name
+
+
+@pytest.mark.skipif(sys.version_info >= (3, 13), reason="rtamt's parser does not run there")
+@pytest.mark.parametrize("seed", range(12))
+def test_any_formula_means_what_it_does_in_a_reference_implementation(seed):
+    """Random formulas over the same piecewise linear signal, which the monitor of dense time takes as it is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import rtamt
+
+    rng = np.random.default_rng(seed)
+    ts = np.arange(81) / 16.0
+    signal = np.cumsum(rng.normal(size=81)) / 4.0
+
+    def leaf():
+        kind, (low, high), level = rng.choice(["always", "eventually"]), np.sort(rng.choice(81, 2, False)), rng.normal()
+        begin, end = float(ts[low]), float(ts[high])
+        inside = signal[low : high + 1]
+        margin = inside.min() - level if kind == "always" else inside.max() - level
+        made = getattr(qj, kind)(lambda s: s.x[0] - level, after=begin, before=end)
+        return made, f"({kind}[{begin}:{end}](x >= {level!r}))", {made: margin}
+
+    def formula(depth):
+        if depth == 0:
+            return leaf()
+        (a, said_a, of_a), (b, said_b, of_b) = formula(depth - 1), formula(depth - 1)
+        joined = {"and": a & b, "or": a | b, "implies": a.implies(b), "not": ~a}
+        how = rng.choice(list(joined))
+        said = f"(not {said_a})" if how == "not" else f"({said_a} {how} {said_b})"
+        return joined[how], said, of_a | of_b
+
+    made, said, margins = formula(3)
+    monitor = rtamt.StlDenseTimeSpecification()
+    monitor.declare_var("x", "float")
+    monitor.spec = said
+    monitor.parse()
+    expected = monitor.evaluate(["x", [[float(t), float(value)] for t, value in zip(ts, signal, strict=True)]])[0][1]
+    found = made.margin({part: Margin(margin, margin, margin) for part, margin in margins.items()})
+    assert [float(each) for each in found] == pytest.approx([expected] * 3, abs=1e-9)
+
+
+STEP = qj.disturbances.Piecewise([1.0], (qj.disturbances.Zero(), qj.disturbances.Constant(0.4)))
+
+
+def falling(draw):
+    """x' = 2 u + d, x_des = 0: rho = exp(-t) + 0.1, and the disturbance steps from 0 to 0.4 at t = 1."""
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.1))
+    loop = qj.ClosedLoop(Integrator(2.0), qj.references.Constant(0.0), STEP, control)
+    return qj.Scenario(loop, x0=[draw.uniform("x0", 0.2, 0.4)], t1=2.0)
+
+
+def verdicts(requirements, scenario=falling, runs=2, **options):
+    study = qj.Study(scenario, bandwidth=0.3, requirements=requirements)
+    table = qj.monte_carlo(study, runs, **options)
+    return {name: {qj.Verdict(int(each)) for each in table[f"verdict_{name}"]} for name in requirements}
+
+
+def test_windows_end_exactly_where_something_jumps():
+    """Up to the jump there is no disturbance, from it on there is."""
+    calm, shaken = (lambda s: 0.2 - s.d), (lambda s: s.d - 0.2)
+    assert verdicts(
+        {
+            "before": qj.always(calm, before=1.0),
+            "across": qj.always(calm, before=1.0 + 1e-9),
+            "from": qj.always(shaken, after=1.0),
+            "not_yet": qj.eventually(shaken, before=1.0),
+            "then": qj.eventually(shaken, before=1.0 + 1e-9),
+            "until": qj.always(calm, after=0.5, before=1.0) & qj.always(shaken, after=1.0, before=1.5),
+        }
+    ) == {
+        "before": {HELD},
+        "across": {VIOLATED},
+        "from": {HELD},
+        "not_yet": {VIOLATED},
+        "then": {HELD},
+        "until": {HELD},
+    }
+
+
+@pytest.mark.parametrize("lack", [0.0, 1e-9, -1e-9])
+def test_what_is_too_near_to_tell_is_undecided_by_every_solve(lack):
+    """rho falls from 1.1, so that this is a margin of nothing."""
+    study = qj.Study(falling, bandwidth=0.3, requirements={"edge": qj.always(lambda s: 1.1 + lack - s.rho)})
+    found = qj.verify(study, 64, block=64)
+    assert (found.claims[3].undecided, found.verdict, found.escalated) == (64, UNDECIDED, (64, 64))
+    assert "64 runs undecided on edge" in found.conclusion()
+
+
+@pytest.mark.parametrize(("lack", "verdict"), [(6e-6, HELD), (-6e-6, VIOLATED)])
+def test_what_is_near_is_decided_by_firmer_solves(lack, verdict):
+    limits = {"edge": qj.always(lambda s: 1.1 + lack - s.rho)}
+    assert verdicts(limits) == {"edge": {UNDECIDED}}
+    found = qj.verify(qj.Study(falling, bandwidth=0.3, requirements=limits), 64, block=64)
+    assert found.claims[3].verdict == verdict
+    assert found.escalated[0] == 64
+
+
+def test_a_run_that_ends_early_decides_what_it_has_seen():
+    """The wrong sign: x runs away from 0.5 and is out of the funnel, at 1.1 exp(-t) or so, within a second."""
+
+    def leaving(draw):
+        control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.1))
+        plant = Integrator(-2.0)
+        loop = qj.ClosedLoop(plant, qj.references.Constant(0.0), qj.disturbances.Zero(), control)
+        return qj.Scenario(loop, x0=[draw.uniform("x0", 0.5, 0.6)], t1=3.0)
+
+    found = verdicts(
+        {
+            "small": qj.always(lambda s: 0.6 - s.x[0]),  # broken on the way out
+            "positive": qj.always(lambda s: s.x[0]),  # nobody knows what comes
+            "large": qj.eventually(lambda s: s.x[0] - 0.55),  # seen
+            "back": qj.eventually(lambda s: 0.1 - s.x[0]),  # may still come
+            "soon": qj.always(lambda s: s.x[0], before=0.01),  # its window was seen to the end
+            "later": qj.always(lambda s: s.x[0], after=2.0),
+            "one": qj.always(lambda s: s.x[0]) | qj.eventually(lambda s: s.x[0] - 0.55),
+            "two": qj.always(lambda s: s.x[0]) & qj.always(lambda s: 0.6 - s.x[0]),
+            "neither": ~qj.eventually(lambda s: s.x[0] - 0.55) | qj.always(lambda s: s.x[0]),
+        },
+        leaving,
+    )
+    open_ones = {"positive", "back", "later", "neither"}
+    assert {name for name, said in found.items() if said == {UNDECIDED}} == open_ones
+    assert {name for name, said in found.items() if said == {VIOLATED}} == {"small", "two"}
+    assert {name for name, said in found.items() if said == {HELD}} == {"large", "soon", "one"}
+
+
+def test_a_run_that_does_not_begin_or_lasts_too_short_says_nothing():
+    def far(draw):
+        made = falling(draw)
+        return qj.Scenario(made.loop, x0=[2.0], t1=made.t1)
+
+    limits = {"limit": qj.always(lambda s: 9.0 - s.u)}
+    study = qj.Study(
+        lambda draw: qj.Scenario(falling(draw).loop, x0=[0.3 + 1.5 * draw.uniform("far", 0.0, 1.0)], t1=2.0),
+        bandwidth=0.3,
+        requirements=limits,
+    )
+    table = qj.monte_carlo(study, 64)
+    outside = table["far"] * 1.5 + 0.3 >= 1.1
+    np.testing.assert_array_equal(table["verdict_limit"], np.where(outside, INADMISSIBLE, HELD))
+    cut = verdicts(limits, settings=qj.SolverSettings(max_steps=3))
+    assert cut == {"limit": {UNDECIDED}}
+
+
+def test_all_claims_together_are_counted_apart():
+    """x0 is uniform: either limit breaks in a fifth of the runs, both in none, and together they hold in three."""
+
+    def scenario(draw):
+        made = falling(draw)
+        return qj.Scenario(made.loop, x0=[draw.uniform("start", 0.0, 1.0)], t1=2.0)
+
+    at_start = {"after": 0.0, "before": 1e-6}
+    low, high = qj.always(lambda s: s.x[0] - 0.2, **at_start), qj.always(lambda s: 0.8 - s.x[0], **at_start)
+    study = qj.Study(scenario, bandwidth=0.3, requirements={"upper": high, "lower": low})
+    found = qj.verify(study, 512, block=512)
+    x0 = qj.monte_carlo(study, 512, block=512)["start"]
+    claims = {claim.name: claim for claim in found.claims}
+    assert list(claims) == ["funnel", "reaching", "tracking", "upper", "lower"]
+    broken = {"upper": int((x0 > 0.8).sum()), "lower": int((x0 < 0.2).sum())}
+    assert {name: claims[name].violated for name in broken} == broken
+    assert found.together.violated == sum(broken.values())
+    assert found.together.held == 512 - sum(broken.values())
+    assert found.verdict == VIOLATED
+    assert claims["funnel"].verdict == HELD
+    assert f"{broken['upper']} violated upper, {broken['lower']} violated lower" in found.conclusion()
+    assert found.worst["verdict_upper"][0] == VIOLATED or found.worst["verdict_lower"][0] == VIOLATED
+
+
+def test_a_sampled_loop_is_judged_too():
+    def held(draw):
+        made = qj.Implementation(sample_period=draw.uniform("period", 5e-3, 2e-2), saturation=0.5)
+        loop = eqx.tree_at(
+            lambda each: each.implementation, qj.paper.example1(), made, is_leaf=lambda leaf: leaf is None
+        )
+        return qj.Scenario(loop, [0.4, 0.3], t1=3.0)
+
+    limits = {
+        "below": qj.always(lambda s: 0.5001 - jnp.abs(s.u)),
+        "beyond": qj.always(lambda s: 0.4 - jnp.abs(s.u)),
+        "exact": qj.always(lambda s: 0.5 - jnp.abs(s.u)),
+    }
+    study = qj.Study(held, bandwidth=0.1, requirements=limits)
+    table = qj.monte_carlo(study, 16)
+    saturated = table["peak_u"] >= 0.5
+    assert saturated.any()
+    np.testing.assert_allclose(table["margin_beyond"], 0.4 - table["peak_u"], atol=1e-12)
+    assert set(table["verdict_below"]) == {HELD}
+    assert (table["verdict_exact"] == UNDECIDED)[saturated].all()
+    np.testing.assert_array_equal(table["verdict_beyond"][saturated], VIOLATED)
+
+
+@pytest.mark.parametrize(
+    ("ended", "low", "high"),
+    [(0.5, 0.99, math.inf), (1.0, 0.99, math.inf), (1.999, 0.99, math.inf), (2.0, 0.99, 1.26), (3.0, 0.99, 1.26)],
+)
+def test_what_is_known_of_a_margin(ended, low, high):
+    """The highest found was 1.0, no more than 1.25 is possible, and the solve owes a hundredth of a unit."""
+    (part,) = qj.eventually(lambda s: s.u, after=1.0, before=2.0).parts
+    state = Highest(jnp.array(1.0), jnp.array(1.25), jnp.array(1.0))
+    known = part.known(state, Extent(ended, 3.0, jnp.array(ended == 3.0), jnp.array(True), 0.01))
+    assert (float(known.low), float(known.high)) == pytest.approx((low, high))
+    assert math.isnan(float(known.value)) == math.isinf(high)
+
+
+def test_a_replay_agrees_only_in_every_claim(tmp_path):
+    """The row of a verdict that another program wrote."""
+    study = qj.Study(falling, bandwidth=0.3, requirements={"small": qj.always(lambda s: 0.6 - s.x[0])})
+    recipe = qj.campaign.Recipe(study, source=b"study = ...", block=64)
+    folder = qj.campaign.prepare(tmp_path / "run", recipe)
+    qj.campaign.run_campaign(folder, recipe, runs=64)
+    assert qj.campaign.replay(folder, recipe, index=3, worst=None).agrees
+    assert qj.campaign.replay(folder, recipe, index=None, worst=1, of="small").agrees
+    row = next(iter(folder.tables())).row(3)
+    module = sys.modules[qj.campaign.replay.__module__]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_row", lambda *_: {**row, "verdict_small": int(VIOLATED)})
+        assert not qj.campaign.replay(folder, recipe, index=3, worst=None).agrees
+    with pytest.raises(qj.InputError, match="Did you mean `small`"):
+        qj.campaign.replay(folder, recipe, index=None, worst=1, of="smll")
+    with pytest.raises(qj.InputError, match="it needs `--worst`"):
+        qj.campaign.replay(folder, recipe, index=3, worst=None, of="small")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (lambda: {"p": qj.always(lambda s: s.speed)}, "Function `of` of requirement `p`.* asks for `speed`"),
+        (lambda: {"p": qj.always(lambda s: jnp.stack(s.x))}, "must return one number, but returns shape \\(1,\\)"),
+        (lambda: {"p": qj.always(lambda s: "low")}, "must return one number"),
+        (lambda: {"p": qj.always(lambda s: jnp.log(s.u - 1.0))}, "returns nan at the start"),
+        (lambda: {"p": qj.always(lambda s: s.u < 5.0)}, "returns true or false. Write `limit - abs\\(s.u\\)`"),
+        (lambda: {"p": ~qj.always(lambda s: s.u) | qj.eventually(lambda s: s.u > 1.0)}, "returns true or false"),
+        (lambda: {"p": qj.always(lambda s: s.u, after=1.0, before=0.5)}, "must be a window of times"),
+        (lambda: {"p": qj.always(lambda s: s.u, after=-1.0)}, "must be a window of times"),
+        (lambda: {"p": qj.always(lambda s: s.u, after=2.0)}, "must lie before the horizon, 2 s"),
+        (lambda: {"p": qj.eventually(lambda s: s.u, before=2.5)}, "must not lie beyond the horizon, 2 s, but is 2.5 s"),
+        (lambda: {"a=b": qj.always(lambda s: s.u)}, "must have no '='"),
+        (lambda: {"verdict_x": qj.always(lambda s: s.u)}, "must not begin with 'verdict_'"),
+        (lambda: {"verdict": qj.always(lambda s: s.u)}, "must not begin with 'verdict_'"),
+        (lambda: {"reaching": qj.always(lambda s: s.u)}, "`verdict_reaching` is the name of a column already"),
+        (lambda: {"funnel": qj.always(lambda s: s.u)}, "`verdict` is the name of a column already"),
+        (lambda: {"all": qj.always(lambda s: s.u)}, "`verdict_all` is the name of a column already"),
+        (lambda: {"p": lambda s: s.u}, "Argument `requirements` must .* `qj.always`"),
+        (lambda: [qj.always(lambda s: s.u)], "must be a dictionary, but is a `list`"),
+        (
+            lambda: {"p": qj.always(lambda s: s.u) & (lambda s: s.u)},
+            "joined with another one only, not with a `function`",
+        ),
+        (lambda: {"p": qj.always(lambda s: s.u) and qj.always(lambda s: -s.u)}, "joined by `&`"),
+        (lambda: {"p": qj.always(eqx.Partial(lambda a, s: a * s.u, jnp.ones(())))}, "must be a plain function"),
+    ],
+)
+def test_what_does_not_fit_is_named(given, said):
+    with pytest.raises(qj.InputError, match=said):
+        qj.Study(falling, bandwidth=0.3, requirements=given())
+
+
+def test_a_drawn_name_and_a_metric_may_not_look_like_a_verdict():
+    def drawing(draw):
+        made = falling(draw)
+        return qj.Scenario(made.loop, x0=[draw.uniform("verdict_x", 0.0, 0.1)], t1=2.0)
+
+    with pytest.raises(qj.InputError, match="must not begin with 'verdict_'"):
+        qj.Study(drawing, bandwidth=0.3)
+    with pytest.raises(qj.InputError, match="must not begin with 'verdict_'"):
+        qj.Study(falling, bandwidth=0.3, metrics=[qj.metrics.Peak("verdict_u", lambda s: s.u)])
+
+
+def test_how_parts_are_joined_belongs_to_the_study():
+    a, b = qj.always(lambda s: 5.0 - s.u), qj.eventually(lambda s: s.x[0] - 0.1)
+    joined = [a & b, a | b, a.implies(b), b.implies(a), ~(a & b), ~a & b]
+    contents = {qj.Study(falling, bandwidth=0.3, requirements={"p": each}).contents for each in joined}
+    assert len(contents) == len(joined)
