@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ive
 
+from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.numerics.enclosure import enclose
 from qsmc_jax.numerics.intervals import Interval
 from qsmc_jax.numerics.rounding import Rounding
@@ -267,3 +268,22 @@ def test_a_product_of_vectors_holds_all_its_values(name):
     (found,) = enclose(VECTORS[name], Interval(jnp.asarray(-0.5), jnp.asarray(2.0))).values
     assert float(found.lo) <= values.min() + 1e-12
     assert float(found.hi) >= values.max() - 1e-12
+
+
+@pytest.mark.parametrize("units", [1, 2, 3, 4])
+def test_outward_is_by_so_many_numbers_at_least_and_twice_as_many_at_most(units):
+    """Powers of two and their neighbours, where a unit in the last place changes, and numbers of every size."""
+    powers = 2.0 ** np.arange(-900, 1000, 37)
+    x = np.concatenate([powers, np.nextafter(powers, 0.0), np.nextafter(powers, np.inf), 1.7 * powers, [0.0, 5e-308]])
+    x = np.concatenate([x, -x])
+    with in_64_bits():
+        low, high = map(np.asarray, jax.jit(lambda x: Rounding.OUTWARD(Interval(x, x), units))(x))
+    expected = x, x
+    for _ in range(units):
+        expected = np.nextafter(expected[0], -np.inf), np.nextafter(expected[1], np.inf)
+    assert (low <= expected[0]).all()
+    assert (high >= expected[1]).all()
+    is_normal = abs(x) > 1e-250
+    off = np.maximum(x - low, high - x)[is_normal]
+    assert (off <= (units + 0.5) * np.finfo(float).eps * abs(x[is_normal])).all()
+    assert (low < 0.0)[x == 0.0].all()

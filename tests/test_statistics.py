@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+import qsmc_jax as qj
+from qsmc_jax.verification.counts import Counts
 from qsmc_jax.verification.statistics import (
     cdf_band,
     clopper_pearson,
@@ -215,3 +217,14 @@ def test_bounds_need_a_run(function):
 def test_rank_must_be_one_of_the_runs(rank):
     with pytest.raises(ValueError, match=rf"`rank` must be in \[1, 10\], but is {rank}"):
         worst_case_coverage(10, 0.95, rank)
+
+
+def test_counts_take_the_undecided_both_ways_and_leave_out_the_inadmissible():
+    counts = {qj.Verdict.HELD: 90, qj.Verdict.VIOLATED: 3, qj.Verdict.UNDECIDED: 7, qj.Verdict.INADMISSIBLE: 50}
+    found = Counts.of(counts, 0.9)
+    low, high = (stats.binomtest(k, 100).proportion_ci(0.9, method="exact") for k in (3, 10))
+    assert (found.low, found.high) == pytest.approx((low.low, high.high), rel=1e-6)
+    assert (found.total, found.estimate) == (100, 0.03)
+    assert found.row().split()[:4] == ["90", "3", "7", "50"]
+    nobody = Counts.of(dict.fromkeys(qj.Verdict, 0), 0.9)
+    assert (nobody.low, nobody.high, math.isnan(nobody.estimate)) == (0.0, 1.0, True)
