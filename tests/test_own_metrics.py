@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import qsmc_jax as qj
 from qsmc_jax.cli.main import app
-from qsmc_jax.metrics.metric import View
 from qsmc_jax.metrics.signals import AbstractStep
+from qsmc_jax.metrics.view import View
 from qsmc_jax.study.tangents import differentiate
 from studies_for_tests import Integrator
 
@@ -123,6 +123,9 @@ class Wave(AbstractStep):
     @property
     def t1(self):
         return jnp.ones(())
+
+    def once(self, tree):
+        return tree
 
     def at(self, theta):
         zero = jnp.zeros(())

@@ -344,6 +344,7 @@ def test_a_drawn_name_and_a_metric_may_not_look_like_a_verdict():
 
 def test_how_parts_are_joined_belongs_to_the_study():
     a, b = qj.always(lambda s: 5.0 - s.u), qj.eventually(lambda s: s.x[0] - 0.1)
-    joined = [a & b, a | b, a.implies(b), b.implies(a), ~(a & b), ~a & b]
+    c = qj.always(lambda s: 4.0 - s.u)
+    joined = [a & b, a | b, a.implies(b), b.implies(a), ~(a & b), ~a & b, a | (c & a), a | (c & c)]
     contents = {qj.Study(falling, bandwidth=0.3, requirements={"p": each}).contents for each in joined}
     assert len(contents) == len(joined)

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.metrics.metric import AbstractKept, AbstractMeasure, Extent, View
+from qsmc_jax.metrics.metric import AbstractKept, AbstractMeasure, Extent
 from qsmc_jax.metrics.signals import AbstractStep
+from qsmc_jax.metrics.view import View
 
 # What is kept for each measure, by its name: once for each of its parts.
 States = dict[str, tuple[Any, ...]]

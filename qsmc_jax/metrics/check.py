@@ -16,9 +16,10 @@ from qsmc_jax.base.programs import Program
 from qsmc_jax.base.traceable import require_number, trace
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.claims import require_no_claim
-from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, AbstractMetric, Extent, View
+from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, AbstractMetric, Extent
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.signals import AbstractStep, Signals
+from qsmc_jax.metrics.view import View
 
 
 class _Straight(AbstractStep):
@@ -31,6 +32,9 @@ class _Straight(AbstractStep):
     @property
     def t1(self) -> RealScalarLike:
         return jnp.ones(())
+
+    def once(self, tree: Any) -> Any:
+        return tree
 
     def at(self, theta: RealScalarLike) -> Signals:
         return jax.tree.map(lambda a, b: a + theta * (b - a), *self.data)

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.metrics.metric import WEIGHTS, AbstractMetric, AbstractOfSignals, View
+from qsmc_jax.metrics.metric import AbstractMetric, AbstractOfSignals
 from qsmc_jax.metrics.record import Worse
 from qsmc_jax.metrics.signals import AbstractStep, Signals
-from qsmc_jax.metrics.summit import summit
+from qsmc_jax.metrics.view import WEIGHTS, View
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Peak(AbstractOfSignals):
         return jnp.full((), -jnp.inf)
 
     def add(self, state: Float[Array, ""], view: View) -> Float[Array, ""]:
-        return jnp.maximum(state, summit(self.value, view).height)
+        return jnp.maximum(state, self.summit(view, state).height)
 
     def read(self, state: Float[Array, ""], step: AbstractStep) -> RealScalarLike:
         return state
@@ -145,10 +145,10 @@ class Variation(AbstractOfSignals):
 
     def add(self, state: _Course, view: View) -> _Course:
         values = self.values(view)
-        ups = summit(self.value, view).height - values.max()
-        downs = summit(lambda signals: -self.value(signals), view).height + values.min()
+        ups, downs = (self.summit(view, (sign * values).max(), sign).height for sign in (1.0, -1.0))
         jump = jnp.where(state.has_begun, jnp.abs(values[0] - state.last), 0.0)
-        change = jnp.abs(jnp.diff(values)).sum() + 2.0 * (ups + downs)
+        hidden = jnp.maximum(ups - values.max(), 0.0) + jnp.maximum(downs + values.min(), 0.0)
+        change = jnp.abs(jnp.diff(values)).sum() + 2.0 * hidden
         return _Course(state.total + jump + change, values[-1], jnp.array(True))
 
     def read(self, state: _Course, step: AbstractStep) -> RealScalarLike:

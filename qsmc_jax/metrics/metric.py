@@ -6,7 +6,6 @@ between the points of a grid and gradients reach it.
 
 import abc
 import dataclasses
-import functools as ft
 import math
 from collections.abc import Callable
 from numbers import Real
@@ -21,37 +20,8 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.record import Record, Worse
 from qsmc_jax.metrics.signals import AbstractStep, Signals
-
-# Gauss-Lobatto rule with five nodes on [0, 1], exact for polynomials of degree 7.
-_INNER = 0.5 * (1.0 - math.sqrt(3.0 / 7.0))
-NODES = (0.0, _INNER, 0.5, 1.0 - _INNER, 1.0)
-WEIGHTS = (1.0 / 20.0, 49.0 / 180.0, 16.0 / 45.0, 49.0 / 180.0, 1.0 / 20.0)
-
-
-@dataclasses.dataclass(frozen=True)
-class View:
-    """A step as a metric looks at it.
-
-    Attributes:
-        step: The step.
-    """
-
-    step: AbstractStep
-
-    @ft.cached_property
-    def nodes(self) -> Signals:
-        """The signals at `NODES`, each with the nodes as its first axis."""
-        return jax.vmap(self.step.at)(jnp.array(NODES))
-
-    @ft.cached_property
-    def rates(self) -> Signals:
-        """Their derivatives by the place in the step."""
-        return jax.vmap(lambda place: jax.jvp(self.step.at, (place,), (jnp.ones(()),))[1])(jnp.array(NODES))
-
-    @property
-    def length(self) -> RealScalarLike:
-        """Its length [s]."""
-        return self.step.t1 - self.step.t0
+from qsmc_jax.metrics.summit import Summit, summit
+from qsmc_jax.metrics.view import View
 
 
 class Extent(NamedTuple):
@@ -148,10 +118,12 @@ class AbstractKept(abc.ABC):
 
     def add_if_inside(self, state: Any, view: View) -> Any:
         """What is kept after one more step, in which the window neither begins nor ends."""
-        step = view.step
+        return trees.where(self.is_inside(view.step), self.add(state, view), state)
+
+    def is_inside(self, step: AbstractStep) -> Bool[Array, ""]:
+        """Whether a step is in the window."""
         middle, has_length = 0.5 * (step.t0 + step.t1), jnp.asarray(step.t1 > step.t0)
-        is_inside = has_length & (middle > self.after) & (middle < self.before)
-        return trees.where(is_inside, self.add(state, view), state)
+        return has_length & (middle > self.after) & (middle < self.before)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,6 +198,17 @@ class AbstractFunction(AbstractKept):
     def value(self, signals: Signals) -> Float[Array, ""]:
         """The function at one instant."""
         return jnp.asarray(self.of(signals), float)
+
+    def summit(self, view: View, above: RealScalarLike, sign: float = 1.0) -> Summit:
+        """The highest point of the function, times the sign, in a step, if it is in the window and exceeds something.
+
+        Args:
+            view: The step.
+            above: What it must exceed to be of use.
+            sign: 1 or -1.
+        """
+        above = jnp.where(self.is_inside(view.step), above, jnp.inf)
+        return summit(lambda signals: sign * self.value(signals), view, above)
 
     def value_in(self, step: AbstractStep, theta: RealScalarLike) -> Float[Array, ""]:
         """The function at a place in a step."""

@@ -18,11 +18,11 @@ from qsmc_jax.base.checks import is_hashable, require
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.claims import margin_column, verdict_column
-from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, Extent, View
+from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, Extent
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.signals import AbstractStep, Signals
-from qsmc_jax.metrics.summit import summit
 from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.metrics.view import View
 
 
 class Margin(NamedTuple):
@@ -169,7 +169,7 @@ class AbstractExtreme(AbstractFunction, Requirement):
         return Highest(lowest, lowest, jnp.zeros(()))
 
     def add(self, state: Highest, view: View) -> Highest:
-        _, height, bound = summit(self._signed, view)
+        _, height, bound = self.summit(view, state.height, self.sign)
         size = jnp.abs(self.values(view)).max()
         return Highest(*map(jnp.maximum, state, (height, bound, size)))
 
@@ -187,9 +187,6 @@ class AbstractExtreme(AbstractFunction, Requirement):
         low, high = state.height - owed, jnp.where(is_whole, state.bound + owed, jnp.inf)
         highest = Margin(low, jnp.where(is_whole, state.height, jnp.nan), high)
         return highest if self.sign > 0.0 else highest.negative()
-
-    def _signed(self, signals: Signals) -> Float[Array, ""]:
-        return self.sign * self.value(signals)
 
 
 @dataclasses.dataclass(frozen=True)

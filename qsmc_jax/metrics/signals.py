@@ -62,6 +62,10 @@ class AbstractStep(AbstractModule):
         """When it ends [s]."""
 
     @abc.abstractmethod
+    def once(self, tree: Any) -> Any:
+        """The same numbers, which the compiler works out once however many use them; see `Fence`."""
+
+    @abc.abstractmethod
     def at(self, theta: RealScalarLike) -> Signals:
         """The signals in it, by its dense output.
 

@@ -15,9 +15,10 @@ from jaxtyping import Array, Bool, Float
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.hermite import Cubic
+from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.metrics.metric import NODES, View
 from qsmc_jax.metrics.signals import Signals
+from qsmc_jax.metrics.view import NODES, View
 
 # How often a stretch is narrowed from both sides before the cubic is asked.
 _ROUNDS = 2
@@ -42,33 +43,64 @@ class Summit(NamedTuple):
     bound: Float[Array, ""]
 
 
-class _Point(NamedTuple):
+class Points(NamedTuple):
+    """A function at some places in a step: with the places, its values and its slopes there."""
+
     place: Float[Array, "..."]
     value: Float[Array, "..."]
     slope: Float[Array, "..."]
 
 
-def summit(function: Callable[[Signals], Float[Array, ""]], view: View) -> Summit:
-    """The highest point of a function of the signals in a step; NaN if it is no number at some place looked at.
+def at_nodes(function: Callable[[Signals], Float[Array, ""]], view: View) -> Points:
+    """A function of the signals at the nodes of a step.
 
     Args:
         function: The function.
         view: The step.
     """
+    values, slopes = jax.vmap(lambda *now: jax.jvp(function, *((each,) for each in now)))(view.nodes, view.rates)
+    return view.step.once(Points(jnp.array(NODES), values, jnp.nan_to_num(slopes)))
 
-    def at(place: Float[Array, ""], left: _Point, right: _Point) -> _Point:
+
+def summit(function: Callable[[Signals], Float[Array, ""]], view: View, above: RealScalarLike) -> Summit:
+    """The highest point of a function of the signals in a step; NaN if it is no number at some place looked at.
+
+    It is looked for between the nodes only if it may be of use, in some of the lanes that go in step under `vmap`.
+
+    Args:
+        function: The function.
+        view: The step.
+        above: What it must exceed to be of use: a lower one may come out too low.
+    """
+    nodes = at_nodes(function, view)
+    tops = jax.lax.stop_gradient(_meeting(*_stretches(nodes)).value)
+    best = jnp.argmax(nodes.value)
+    found = Summit(nodes.place[best], nodes.value[best], jax.lax.stop_gradient(nodes.value[best]))
+    # What is no number is of use.
+    is_of_use = any_lane(jax.lax.stop_gradient(~(tops.max() <= above)))
+    return jax.lax.cond(is_of_use, lambda: _searched(function, view, nodes, tops), lambda: found)
+
+
+def _stretches(nodes: Points) -> tuple[Points, Points]:
+    """The left and the right ends of the stretches between the nodes."""
+    return Points(*(each[:-1] for each in nodes)), Points(*(each[1:] for each in nodes))
+
+
+def _searched(
+    function: Callable[[Signals], Float[Array, ""]], view: View, nodes: Points, tops: Float[Array, " stretches"]
+) -> Summit:
+    """The highest point, given the nodes, and where the tangents meet in each stretch."""
+
+    def at(place: Float[Array, ""], left: Points, right: Points) -> Points:
         off = _OFF * (right.place - left.place)
         place = jax.lax.stop_gradient(jnp.clip(place, left.place + off, right.place - off))
         value, slope = jax.jvp(lambda theta: function(view.step.at(theta)), (place,), (jnp.ones(()),))
-        return _Point(place, value, jnp.nan_to_num(slope))
+        return view.step.once(Points(place, value, jnp.nan_to_num(slope)))
 
-    values, slopes = jax.vmap(lambda *now: jax.jvp(function, *((each,) for each in now)))(view.nodes, view.rates)
-    nodes = _Point(jnp.array(NODES), values, jnp.nan_to_num(slopes))
-    lefts, rights = _Point(*(each[:-1] for each in nodes)), _Point(*(each[1:] for each in nodes))
-    tops = jax.lax.stop_gradient(_meeting(lefts, rights).value)
+    lefts, rights = _stretches(nodes)
     # Of two as high, as neighbours of a node are, the one that has a peak inside.
     chosen = jnp.argmax(jnp.where(tops >= tops.max(), 1.0 + _has_peak(lefts, rights).astype(float), 0.0))
-    left, right = _Point(*(each[chosen] for each in lefts)), _Point(*(each[chosen] for each in rights))
+    left, right = Points(*(each[chosen] for each in lefts)), Points(*(each[chosen] for each in rights))
     found = []
     for _ in range(_ROUNDS):
         meeting, falls = _meeting(left, right), left.slope - right.slope
@@ -83,7 +115,7 @@ def summit(function: Callable[[Signals], Float[Array, ""]], view: View) -> Summi
         left, right = _narrowed(left, right, point)
         found.append(point)
     places = jnp.concatenate([nodes.place, jnp.stack([point.place for point in found])])
-    heights = jnp.concatenate([values, jnp.stack([point.value for point in found])])
+    heights = jnp.concatenate([nodes.value, jnp.stack([point.value for point in found])])
     best, width = jnp.argmax(heights), right.place - left.place
     steepest = jnp.maximum(left.value + left.slope * width, right.value - right.slope * width)
     top = jnp.where(_has_peak(left, right), steepest, -jnp.inf)
@@ -91,11 +123,11 @@ def summit(function: Callable[[Signals], Float[Array, ""]], view: View) -> Summi
     return Summit(places[best], heights[best], jax.lax.stop_gradient(bound))
 
 
-def _has_peak(left: _Point, right: _Point) -> Bool[Array, "..."]:
+def _has_peak(left: Points, right: Points) -> Bool[Array, "..."]:
     return (left.slope > 0.0) & (right.slope < 0.0)
 
 
-def _narrowed(left: _Point, right: _Point, point: _Point) -> tuple[_Point, _Point]:
+def _narrowed(left: Points, right: Points, point: Points) -> tuple[Points, Points]:
     """The part of a stretch in which the function still turns from rising to falling."""
     is_rising = point.slope > 0.0
     return trees.where(is_rising, point, left), trees.where(is_rising, right, point)
@@ -106,20 +138,20 @@ class _Meeting(NamedTuple):
     value: Float[Array, "..."]
 
 
-def _meeting(left: _Point, right: _Point) -> _Meeting:
+def _meeting(left: Points, right: Points) -> _Meeting:
     """Where the tangents meet, and how high: at least as high as the ends, and there if the function does not peak."""
     place = _tangents_meet(left, right)
     height, ends = left.value + left.slope * (place - left.place), jnp.maximum(left.value, right.value)
     return _Meeting(place, jnp.where(_has_peak(left, right), jnp.maximum(height, ends), ends))
 
 
-def _tangents_meet(left: _Point, right: _Point) -> Float[Array, "..."]:
+def _tangents_meet(left: Points, right: Points) -> Float[Array, "..."]:
     falls = left.slope - right.slope
     lack = right.value - left.value - right.slope * (right.place - left.place)
     return jnp.clip(left.place + lack / jnp.where(falls == 0.0, jnp.inf, falls), left.place, right.place)
 
 
-def _cubic_turns(left: _Point, right: _Point) -> Float[Array, "..."]:
+def _cubic_turns(left: Points, right: Points) -> Float[Array, "..."]:
     length = right.place - left.place
     low, high = Cubic(left.value, right.value, length * left.slope, length * right.slope).turning_points()
     return left.place + length * jnp.where(low > 0.0, low, high)

@@ -11,10 +11,10 @@ from jaxtyping import Array, Bool, Float
 
 from qsmc_jax.base import trees
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.metrics.metric import NODES, AbstractOfSignals, View
+from qsmc_jax.metrics.metric import AbstractOfSignals
 from qsmc_jax.metrics.record import Worse
 from qsmc_jax.metrics.signals import AbstractStep
-from qsmc_jax.metrics.summit import summit
+from qsmc_jax.metrics.view import NODES, View
 
 # A step is halved so often: to 1e-12 of its length.
 _BISECTIONS = 40
@@ -78,7 +78,8 @@ class AbstractTime(AbstractOfSignals):
         """
         places, values = jnp.array(NODES), self.values(view)
         is_on = values > 0.0
-        peak, height, _ = summit(self.value, view)
+        # Where it is so at a node, what is between nodes is of no use.
+        peak, height, _ = self.summit(view, jnp.where(is_on.any(), jnp.inf, 0.0))
         # Where it is so between nodes only, the peak stands in for the inner node next to it.
         inner = 1 + jnp.argmin(jnp.abs(places[1:-1] - peak))
         is_hidden = (height > 0.0) & ~is_on.any() & (jnp.arange(len(NODES)) == inner)

@@ -1,5 +1,7 @@
 """A loop at one instant, as far as the input has no say in it; and an open-loop cell, from one instant to another."""
 
+from typing import Any
+
 import jax.numpy as jnp
 
 from qsmc_jax.base.hermite import Cubic, cubics
@@ -121,6 +123,9 @@ class CellStep(AbstractStep):
     @property
     def t1(self) -> RealScalarLike:
         return self.data.right.t
+
+    def once(self, tree: Any) -> Any:
+        return self.problem.fence(tree)
 
     def at(self, theta: RealScalarLike) -> Signals:
         cell, loop = self.data, self.problem.loop

@@ -215,6 +215,9 @@ class IdealStep(AbstractStep):
     def t1(self) -> RealScalarLike:
         return self.data.t1
 
+    def once(self, tree: Any) -> Any:
+        return self.problem.fence(tree)
+
     def at(self, theta: RealScalarLike) -> Signals:
         step, ends = self.data, {"t0": self.data.t0, "t1": self.data.t1}
         rates = {"dy0": step.dy0, "dy1": step.dy1}
