@@ -292,7 +292,7 @@ def test_a_replay_agrees_only_in_every_claim(tmp_path):
         patch.setattr(module, "_row", lambda *_: {**row, "verdict_small": int(VIOLATED)})
         assert not qj.campaign.replay(folder, recipe, index=3, worst=None).agrees
     with pytest.raises(qj.InputError, match="Did you mean `small`"):
-        qj.campaign.replay(folder, recipe, index=None, worst=1, of="smll")
+        qj.campaign.replay(folder, recipe, index=None, worst=1, of="smaller")
     with pytest.raises(qj.InputError, match="it needs `--worst`"):
         qj.campaign.replay(folder, recipe, index=3, worst=None, of="small")
 
