@@ -331,6 +331,21 @@ def test_what_does_not_fit_is_named(given, said):
         qj.Study(falling, bandwidth=0.3, requirements=given())
 
 
+def test_units_stay_with_the_rows():
+    pytest.importorskip("xarray")
+    limits = {"limit": qj.always(lambda s: 9.0 - s.u, unit="N")}
+    study = qj.Study(
+        falling, bandwidth=0.3, requirements=limits, metrics=[qj.metrics.Peak("p", lambda s: s.x[0], unit="m")]
+    )
+    rows = qj.monte_carlo(study, 130, block=64).take(slice(3, 70)).to_xarray()
+    assert {name: rows[name].attrs.get("units") for name in ("margin_limit", "p", "peak_time", "x0")} == {
+        "margin_limit": "N",
+        "p": "m",
+        "peak_time": "s",
+        "x0": None,
+    }
+
+
 def test_a_drawn_name_and_a_metric_may_not_look_like_a_verdict():
     def drawing(draw):
         made = falling(draw)

@@ -192,4 +192,4 @@ def table(study: Study, indices: np.ndarray, record: Mapping[str, np.ndarray], f
         columns.update({name: flat[:rows, i] for i, name in enumerate(spec.columns)})
     names = tuple(columns)[1:]
     columns.update({name: value[:rows] for name, value in figures.columns().items()})
-    return Runs(columns, names)
+    return Runs(columns, names, study.records)

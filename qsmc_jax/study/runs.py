@@ -12,6 +12,7 @@ from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.metrics.claims import claims_of, verdict_column
+from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.standard import record_of
 from qsmc_jax.metrics.verdict import Verdict
 
@@ -38,6 +39,7 @@ class Runs:
     Attributes:
         columns: Arrays of one length, by column name.
         names: The columns that hold drawn values.
+        records: What is known of the columns that its study alone has, such as their units.
 
     Examples:
         Three runs, one of them violated:
@@ -54,6 +56,7 @@ class Runs:
 
     columns: Mapping[str, np.ndarray]
     names: tuple[str, ...]
+    records: Mapping[str, Record] = dataclasses.field(default_factory=dict)
 
     @overload
     def __getitem__(self, column: str) -> np.ndarray: ...
@@ -106,7 +109,7 @@ class Runs:
         Args:
             rows: A slice, a mask, or a list of row numbers.
         """
-        return Runs({name: column[rows] for name, column in self.columns.items()}, self.names)
+        return dataclasses.replace(self, columns={name: column[rows] for name, column in self.columns.items()})
 
     def row(self, i: int) -> dict[str, Any]:
         """Row `i` as a dictionary of plain numbers.
@@ -140,7 +143,8 @@ class Runs:
 
     def to_xarray(self) -> Any:
         """The table as an `xarray.Dataset` over the dimension `run`, with units; needs the extra `notebook`."""
-        units = {name: {"units": unit} if (unit := record_of(name).unit) else {} for name in self.columns}
+        known = {name: self.records.get(name) or record_of(name) for name in self.columns}
+        units = {name: {"units": record.unit} if record.unit else {} for name, record in known.items()}
         variables = {name: ("run", each, units[name]) for name, each in self.columns.items() if name != "index"}
         return as_dataset(variables, {"run": self["index"]}, {})
 
@@ -173,7 +177,7 @@ def count_verdicts(verdicts: Int[np.ndarray, " rows"]) -> dict[Verdict, int]:
 def concatenate(tables: Sequence[Runs]) -> Runs:
     """One table of several, in order; they must have the same columns."""
     columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-    return Runs(columns, tables[0].names)
+    return dataclasses.replace(tables[0], columns=columns)
 
 
 def replace_rows(runs: Runs, rows: np.ndarray, new: Runs) -> Runs:
@@ -181,4 +185,4 @@ def replace_rows(runs: Runs, rows: np.ndarray, new: Runs) -> Runs:
     columns = {name: column.copy() for name, column in runs.columns.items()}
     for name, column in columns.items():
         column[rows] = new[name]
-    return Runs(columns, runs.names)
+    return dataclasses.replace(runs, columns=columns)

@@ -1,5 +1,6 @@
 """Escalation: no violated or undecided run is believed at the first solve, none is dropped, none outvoted."""
 
+import dataclasses
 import logging
 from collections.abc import Callable, Iterator, Sequence
 
@@ -158,7 +159,7 @@ def _decided(tables: Sequence[Runs], verdicts: Sequence[np.ndarray]) -> Runs:
     rung[disputed] = len(tables) - 1
     decided[:, disputed] = Verdict.UNDECIDED
     columns.update(zip(map(verdict_column, tables[0].claims), decided, strict=True))
-    return _disowned(_with(Runs(columns, tables[0].names), rung=rung), disputed)
+    return _disowned(_with(tables[0], **columns, rung=rung), disputed)
 
 
 def _disowned(table: Runs, disputed: Bool[np.ndarray, " rows"]) -> Runs:
@@ -168,8 +169,8 @@ def _disowned(table: Runs, disputed: Bool[np.ndarray, " rows"]) -> Runs:
         is_figure = np.issubdtype(column.dtype, np.floating) and name not in (*table.names, *_FACTS)
         columns[name] = np.where(disputed, np.nan, column) if is_figure else column
     columns["outcome"] = np.where(disputed, int(Outcome.SOLVES_DISAGREE), table["outcome"])
-    return Runs(columns, table.names)
+    return _with(table, **columns)
 
 
 def _with(table: Runs, **columns: np.ndarray) -> Runs:
-    return Runs({**table.columns, **columns}, table.names)
+    return dataclasses.replace(table, columns={**table.columns, **columns})
