@@ -62,6 +62,8 @@ def test_the_commands_know_them(tmp_path, limit, code):
     )
     assert wrong.exit_code == 2
     assert "Did you mean `upward`" in wrong.output
+    alone = runner.invoke(app, ["simulate", str(source), "--index", str(rows["index"][worst]), "--no-cache"])
+    assert (alone.exit_code, f"upward {['HELD', 'VIOLATED'][code]}" in alone.output) == (code, True)
     source.write_text(FILE.replace("LIMIT", repr(limit + 1.0)))
     again = runner.invoke(app, ["verify", str(source), "--runs", "256", "--out", str(out), *SMALL])
     assert again.exit_code == 2

@@ -78,6 +78,7 @@ def simulate(
     """Solve the nominal run of a study, or replay one run of a verification, in full."""
     with session(cache):
         from qsmc_jax import SolverSettings
+        from qsmc_jax.metrics.claims import STATEMENTS, gravest
         from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.signals import figures_as_numbers
 
@@ -99,7 +100,9 @@ def simulate(
                 folder.commit()
                 if not as_json:
                     say(f"Written to {out}.")
-    raise typer.Exit(code_of(run.verdict.name))
+    # The horizon of one run may be too short for the later claims of Theorem 1.
+    judged = [verdict for claim, verdict in run.verdicts.items() if claim == "funnel" or claim not in STATEMENTS]
+    raise typer.Exit(code_of(gravest(judged).name))
 
 
 @app.command()

@@ -1,6 +1,6 @@
 """The claims that a run is judged by: the three of Theorem 1, and the requirements of the study."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -109,6 +109,15 @@ def claims_of(columns: Iterable[str]) -> tuple[str, ...]:
         for column in columns
         if column == _FUNNEL or column.startswith(_PREFIX)
     )
+
+
+def gravest(verdicts: Collection[Verdict]) -> Verdict:
+    """The gravest of several verdicts; HELD if there are none.
+
+    Args:
+        verdicts: The verdicts.
+    """
+    return next((verdict for verdict in _GRAVEST if verdict in verdicts), Verdict.HELD)
 
 
 def together(verdicts: Int[np.ndarray, "claims rows"]) -> Int[np.ndarray, " rows"]:

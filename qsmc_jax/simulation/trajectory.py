@@ -78,8 +78,14 @@ class Trajectory(AbstractModule):
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict on the funnel claim; those on the others are in `figures`."""
+        """Verdict on the funnel claim; those on all are `verdicts`."""
         return Verdict(int(self.figures.verdict))
+
+    @property
+    def verdicts(self) -> dict[str, Verdict]:
+        """The verdicts on all claims, by their names: the three of Theorem 1, and the requirements of its study."""
+        known = self.figures.named()
+        return {claim: Verdict(int(known[verdict_column(claim)])) for claim in claims_of(known)}
 
     @property
     def reaching_time(self) -> float:
@@ -146,9 +152,7 @@ class Trajectory(AbstractModule):
 
     def __str__(self) -> str:
         f, peak = self.figures, float(self.figures.peak_ratio)
-        known = f.named()
-        verdicts = {claim: Verdict(int(known[verdict_column(claim)])) for claim in claims_of(known)}
-        claims = ", ".join(f"{claim} {verdict.name}" for claim, verdict in verdicts.items())
+        claims = ", ".join(f"{claim} {verdict.name}" for claim, verdict in self.verdicts.items())
         told = f"  {self.outcome.name}: {self.outcome.advice}"
         if self.outcome in (Outcome.STARTED_OUTSIDE, Outcome.BAD_PARAMETERS):
             return f"Trajectory that was not begun: {claims}\n{told}"
