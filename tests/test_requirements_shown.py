@@ -28,12 +28,11 @@ study = qj.Study(scenario, bandwidth=0.1, requirements={'upward': upward, 'arriv
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("limit", "code"), [(0.2, 1), (99.0, 0)])
-def test_the_commands_know_them(tmp_path, limit, code):
+def test_the_commands_know_them(tmp_path):
     source, out, runner = tmp_path / "study.py", tmp_path / "run", CliRunner()
-    source.write_text(FILE.replace("LIMIT", repr(limit)))
+    source.write_text(FILE.replace("LIMIT", "0.2"))
     result = runner.invoke(app, ["verify", str(source), "--runs", "128", "--out", str(out), *SMALL])
-    assert result.exit_code == code, result.output
+    assert result.exit_code == 1, result.output
     rows = pq.read_table(next((out / "blocks").iterdir())).to_pandas()
     field = pq.read_schema(next((out / "blocks").iterdir())).field("margin_upward")
     assert field.metadata[b"unit"] == b"N"
@@ -41,13 +40,9 @@ def test_the_commands_know_them(tmp_path, limit, code):
     said = json.loads((out / "summary.json").read_text())
     named = {claim["name"]: claim for claim in said["claims"]}
     violated = int((rows["verdict_upward"] == VIOLATED).sum())
-    assert (
-        named["upward"]["violated"]
-        == said["together"]["violated"]
-        == violated
-        == int((rows["margin_upward"] < 0).sum())
-    )
-    assert (violated > 0) == (code == 1)
+    assert violated == int((rows["margin_upward"] < 0).sum())
+    assert (named["upward"]["violated"], said["together"]["violated"]) == (violated, violated)
+    assert violated > 0
     assert "requirement upward of the study" in (out / "report.html").read_text()
     worst = int(rows["margin_upward"].idxmin())
     shown = runner.invoke(
@@ -63,8 +58,8 @@ def test_the_commands_know_them(tmp_path, limit, code):
     assert wrong.exit_code == 2
     assert "Did you mean `upward`" in wrong.output
     alone = runner.invoke(app, ["simulate", str(source), "--index", str(rows["index"][worst]), "--no-cache"])
-    assert (alone.exit_code, f"upward {['HELD', 'VIOLATED'][code]}" in alone.output) == (code, True)
-    source.write_text(FILE.replace("LIMIT", repr(limit + 1.0)))
+    assert (alone.exit_code, "upward VIOLATED" in alone.output) == (1, True)
+    source.write_text(FILE.replace("LIMIT", "1.2"))
     again = runner.invoke(app, ["verify", str(source), "--runs", "256", "--out", str(out), *SMALL])
     assert again.exit_code == 2
     assert "requirement `upward`" in again.output
