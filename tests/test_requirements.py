@@ -343,6 +343,20 @@ def test_a_drawn_name_and_a_metric_may_not_look_like_a_verdict():
         qj.Study(falling, bandwidth=0.3, metrics=[qj.metrics.Peak("verdict_u", lambda s: s.u)])
 
 
+def test_numbers_that_a_function_closes_over_belong_to_the_study():
+    """Tables stand in no text of a program."""
+
+    def of(kind, level):
+        table = np.linspace(0.0, 1.0, 50) + level
+        function = lambda s: 2.0 + jnp.interp(s.x[0], jnp.linspace(-1.0, 1.0, 50), table)  # noqa: E731
+        measures = {"metrics": [qj.metrics.Peak("p", function)], "requirements": {"p": qj.always(function)}}
+        return qj.Study(falling, bandwidth=0.3, **{kind: measures[kind]}).contents
+
+    for kind in ("metrics", "requirements"):
+        assert of(kind, 0.0) == of(kind, 0.0)
+        assert of(kind, 0.0) != of(kind, 1e-9)
+
+
 def test_how_parts_are_joined_belongs_to_the_study():
     a, b = qj.always(lambda s: 5.0 - s.u), qj.eventually(lambda s: s.x[0] - 0.1)
     c = qj.always(lambda s: 4.0 - s.u)

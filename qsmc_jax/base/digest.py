@@ -12,12 +12,12 @@ from qsmc_jax.base.programs import Program, UnknownProgramError, dtype_of, is_li
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 
 
-def digest(program: Program | Sequence[Program], *others: Any) -> str:
+def digest(program: Program, *others: Any) -> str:
     """A hash that is the same in every process, and another one as soon as an operation or a number is another.
 
     Args:
         program: What `jax.make_jaxpr` returned.
-        *others: What counts besides: texts, numbers, arrays, and containers of such.
+        *others: What counts besides: programs, texts, numbers, arrays, and containers of such.
     """
     hashed = hashlib.sha256()
     try:

@@ -68,9 +68,9 @@ class Made:
 
 def _measure(measure: AbstractMeasure, order: int) -> str:
     """Its programs, its windows, and how its parts are joined."""
-    programs = [program_of(measure, part, order) for part in measure.parts]
+    first, *others = (program_of(measure, part, order) for part in measure.parts)
     windows = [(type(part).__name__, part.after, part.before) for part in measure.parts]
-    return digest(programs, windows, [record.unit for record in measure.records], measure.form)
+    return digest(first, others, windows, [record.unit for record in measure.records], measure.form)
 
 
 def _scenario(scenario: Callable[[Any], Any], dim: int) -> str:
