@@ -264,6 +264,28 @@ def test_what_is_known_of_a_margin(ended, low, high):
     assert math.isnan(float(known.value)) == math.isinf(high)
 
 
+def test_nothing_is_known_of_a_window_without_a_step():
+    extent = Extent(3.0, 3.0, jnp.array(True), jnp.array(True), 0.01)
+    for make in (qj.eventually, qj.always):
+        (part,) = make(lambda s: s.u, after=1.0, before=1.5).parts
+        known = part.known(Highest(jnp.array(-jnp.inf), jnp.array(-jnp.inf), jnp.array(0.0)), extent)
+        assert (float(known.low), float(known.high)) == (-math.inf, math.inf)
+
+
+def test_a_window_may_be_as_long_as_the_longest_horizon_and_scenarios_may_fail():
+    """Half of the runs of this scenario make no loop; the others last from 1 to 3 s."""
+
+    def scenario(draw):
+        t1 = 1.0 + 2.0 * draw.uniform("longer", 0.0, 1.0)
+        mu = draw.uniform("mu", -1.0, 1.1)
+        return qj.Scenario(falling(draw).loop, x0=[0.3], t1=jnp.where(mu > 0.0, t1, -1.0))
+
+    limits = {"p": qj.always(lambda s: s.u, before=2.4)}
+    assert qj.Study(scenario, bandwidth=0.3, requirements=limits).claims[-1] == "p"
+    with pytest.raises(qj.InputError, match="must not lie beyond the horizon"):
+        qj.Study(scenario, bandwidth=0.3, requirements={"p": qj.always(lambda s: s.u, before=3.1)})
+
+
 def test_a_replay_agrees_only_in_every_claim(tmp_path):
     """The row of a verdict that another program wrote."""
     study = qj.Study(falling, bandwidth=0.3, requirements={"small": qj.always(lambda s: 0.6 - s.x[0])})

@@ -183,6 +183,8 @@ class AbstractExtreme(AbstractFunction, Requirement):
         is_whole = extent.is_complete & (extent.horizon > self.after)
         if not math.isinf(self.before):
             is_whole = jnp.asarray(extent.time >= self.before)
+        # Nothing is known of a window that no step was seen in.
+        is_whole = is_whole & (state.height > -jnp.inf)
         owed = extent.resolution * state.size
         low, high = state.height - owed, jnp.where(is_whole, state.bound + owed, jnp.inf)
         highest = Margin(low, jnp.where(is_whole, state.height, jnp.nan), high)

@@ -73,12 +73,11 @@ def summit(function: Callable[[Signals], Float[Array, ""]], view: View, above: R
         above: What it must exceed to be of use: a lower one may come out too low.
     """
     nodes = at_nodes(function, view)
-    tops = jax.lax.stop_gradient(_meeting(*_stretches(nodes)).value)
-    best = jnp.argmax(nodes.value)
+    best, reach = jnp.argmax(nodes.value), jax.lax.stop_gradient(_reach(*_stretches(nodes)))
     found = Summit(nodes.place[best], nodes.value[best], jax.lax.stop_gradient(nodes.value[best]))
     # What is no number is of use.
-    is_of_use = any_lane(jax.lax.stop_gradient(~(tops.max() <= above)))
-    return jax.lax.cond(is_of_use, lambda: _searched(function, view, nodes, tops), lambda: found)
+    is_of_use = any_lane(jax.lax.stop_gradient(~(reach.max() <= above)))
+    return jax.lax.cond(is_of_use, lambda: _searched(function, view, nodes, reach), lambda: found)
 
 
 def _stretches(nodes: Points) -> tuple[Points, Points]:
@@ -87,9 +86,9 @@ def _stretches(nodes: Points) -> tuple[Points, Points]:
 
 
 def _searched(
-    function: Callable[[Signals], Float[Array, ""]], view: View, nodes: Points, tops: Float[Array, " stretches"]
+    function: Callable[[Signals], Float[Array, ""]], view: View, nodes: Points, reach: Float[Array, " stretches"]
 ) -> Summit:
-    """The highest point, given the nodes, and where the tangents meet in each stretch."""
+    """The highest point, given the nodes, and how high the function may reach in each stretch between them."""
 
     def at(place: Float[Array, ""], left: Points, right: Points) -> Points:
         off = _OFF * (right.place - left.place)
@@ -98,6 +97,7 @@ def _searched(
         return view.step.once(Points(place, value, jnp.nan_to_num(slope)))
 
     lefts, rights = _stretches(nodes)
+    tops = jax.lax.stop_gradient(_meeting(lefts, rights).value)
     # Of two as high, as neighbours of a node are, the one that has a peak inside.
     chosen = jnp.argmax(jnp.where(tops >= tops.max(), 1.0 + _has_peak(lefts, rights).astype(float), 0.0))
     left, right = Points(*(each[chosen] for each in lefts)), Points(*(each[chosen] for each in rights))
@@ -116,15 +116,20 @@ def _searched(
         found.append(point)
     places = jnp.concatenate([nodes.place, jnp.stack([point.place for point in found])])
     heights = jnp.concatenate([nodes.value, jnp.stack([point.value for point in found])])
-    best, width = jnp.argmax(heights), right.place - left.place
-    steepest = jnp.maximum(left.value + left.slope * width, right.value - right.slope * width)
-    top = jnp.where(_has_peak(left, right), steepest, -jnp.inf)
-    bound = jnp.maximum(jnp.maximum(top, tops.at[chosen].set(-jnp.inf).max()), heights[best])
+    best, others = jnp.argmax(heights), reach.at[chosen].set(-jnp.inf).max()
+    bound = jnp.maximum(jnp.maximum(_reach(left, right), others), heights[best])
     return Summit(places[best], heights[best], jax.lax.stop_gradient(bound))
 
 
 def _has_peak(left: Points, right: Points) -> Bool[Array, "..."]:
     return (left.slope > 0.0) & (right.slope < 0.0)
+
+
+def _reach(left: Points, right: Points) -> Float[Array, "..."]:
+    """What a function does not exceed between two points, if it turns once at most, and is steepest at the ends."""
+    width, ends = right.place - left.place, jnp.maximum(left.value, right.value)
+    steepest = jnp.maximum(left.value + left.slope * width, right.value - right.slope * width)
+    return jnp.where(_has_peak(left, right), steepest, ends)
 
 
 def _narrowed(left: Points, right: Points, point: Points) -> tuple[Points, Points]:

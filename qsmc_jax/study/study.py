@@ -1,5 +1,6 @@
 """A study: scenarios drawn from the unit cube, and the bandwidth they are judged by."""
 
+import contextlib
 import dataclasses
 import functools as ft
 from collections.abc import Callable, Mapping
@@ -126,13 +127,18 @@ class Study:
         start = signals_at_start(self.nominal.loop, self.nominal.x0)
         drawn = [column for spec in self.specs for column in spec.columns]
         taken = [*TABLE_COLUMNS, *map(verdict_column, (*STATEMENTS, TOGETHER)), *drawn]
-        check_measures(self.measures, start, self._longest_horizon(), taken)
+        parts = [part for measure in self.measures for part in measure.parts]
+        ends = [end for part in parts for end in (part.after, part.before) if np.isfinite(end)]
+        horizon = float(self.nominal.t1)
+        check_measures(self.measures, start, horizon if max(ends) < horizon else self._longest_horizon(), taken)
 
     def _longest_horizon(self) -> float:
-        """The longest horizon [s] of the nominal run and a few others."""
-        points = Random().points(0, range(_TRIED), self.dimension)
-        made = (_call(self.scenario, PointDraw(point, self.values)) for point in points)
-        return max(float(each.t1) for each in (self.nominal, *made))
+        """The longest horizon [s] of the nominal run and a few others, of those that make a loop."""
+        found = [float(self.nominal.t1)]
+        for point in Random().points(0, range(_TRIED), self.dimension):
+            with contextlib.suppress(ValueError):
+                found.append(float(_call(self.scenario, PointDraw(point, self.values)).t1))
+        return max(found)
 
     @property
     def claims(self) -> tuple[str, ...]:
