@@ -12,8 +12,8 @@ import scipy.integrate
 from typer.testing import CliRunner
 
 import qsmc_jax as qj
+from fake_step import UnitStep
 from qsmc_jax.cli.main import app
-from qsmc_jax.metrics.signals import AbstractStep
 from qsmc_jax.metrics.view import View
 from qsmc_jax.study.tangents import differentiate
 from studies_for_tests import Integrator
@@ -113,29 +113,16 @@ def test_a_replay_and_another_block_give_the_same_numbers(rows):
     assert f"top {rows['top'][3]:.6g} m" in str(run)
 
 
-class Wave(AbstractStep):
-    """A step of length 1 in which x[0] = sin(3 theta + phase), all else 0; its data is the phase."""
-
-    @property
-    def t0(self):
-        return jnp.zeros(())
-
-    @property
-    def t1(self):
-        return jnp.ones(())
-
-    def once(self, tree):
-        return tree
-
-    def at(self, theta):
-        zero = jnp.zeros(())
-        x = (jnp.sin(3.0 * theta + self.data),)
-        return m.Signals(zero, x, (zero,), (zero,), *(zero,) * 7)
+def wave(theta, phase):
+    return jnp.sin(3.0 * theta + phase)
 
 
 @pytest.mark.parametrize("phase", [0.3, 1.0, 2.2, 3.0, 4.4])
 def test_peaks_and_valleys_inside_a_step_count(phase):
-    step, x = Wave(jnp.array(phase)), np.sin(np.linspace(phase, phase + 3.0, 200_001))
+    step, x = (
+        UnitStep(jnp.array(phase), wave),
+        np.sin(np.linspace(phase, phase + 3.0, 200_001)),
+    )
     view, of = View(step), lambda s: s.x[0]
     found = {
         kind: kind.read(kind.add(kind.first(step), view), step) for kind in (m.Peak("p", of), m.Variation("v", of))

@@ -331,7 +331,7 @@ def test_a_replay_agrees_only_in_every_claim(tmp_path):
             "joined with another one only, not with a `function`",
         ),
         (lambda: {"p": qj.always(lambda s: s.u) and qj.always(lambda s: -s.u)}, "joined by `&`"),
-        (lambda: {"p": qj.always(eqx.Partial(lambda a, s: a * s.u, jnp.ones(())))}, "must be a plain function"),
+        (lambda: {"p": qj.always(eqx.Partial(lambda a, s: a * s.u, jnp.ones(())))}, "must be made of plain functions"),
     ],
 )
 def test_what_does_not_fit_is_named(given, said):

@@ -3,30 +3,9 @@
 import jax.numpy as jnp
 import pytest
 
-import qsmc_jax as qj
-from qsmc_jax.metrics.signals import AbstractStep
+from fake_step import UnitStep
 from qsmc_jax.metrics.summit import summit
 from qsmc_jax.metrics.view import View
-
-
-class Line(AbstractStep):
-    """A step of length 1 in which x[0] = theta, all else 0."""
-
-    @property
-    def t0(self):
-        return jnp.zeros(())
-
-    @property
-    def t1(self):
-        return jnp.ones(())
-
-    def once(self, tree):
-        return tree
-
-    def at(self, theta):
-        zero = jnp.zeros(())
-        return qj.metrics.Signals(zero, (theta,), (zero,), (zero,), *(zero,) * 7)
-
 
 COURSES = [
     lambda x, c: -jnp.abs(x - c),
@@ -44,7 +23,7 @@ PLACES = [0.0, 0.03, 0.1727, 0.31, 0.5, 0.66, 0.9, 1.0]
 @pytest.mark.parametrize("course", COURSES)
 def test_a_peak_in_a_step_is_found_and_bounded(course, place):
     """All of these peak at the place, kinks included, and nowhere else."""
-    found = summit(lambda s: course(s.x[0], place), View(Line(jnp.zeros(()))), -jnp.inf)
+    found = summit(lambda s: course(s.x[0], place), View(UnitStep()), -jnp.inf)
     top = float(course(jnp.array(place), place))
     assert float(found.height) == pytest.approx(top, abs=1e-5)
     assert top - 1e-12 <= float(found.bound) <= top + 4e-4
@@ -55,5 +34,5 @@ def test_a_peak_that_exceeds_what_was_seen_is_never_left_out(course):
     """What was seen is just below the top, which lies above where tangents meet if the branches bend upwards."""
     for place in PLACES:
         top = float(course(jnp.array(place), place))
-        found = summit(lambda s, at=place: course(s.x[0], at), View(Line(jnp.zeros(()))), top - 1e-4)
+        found = summit(lambda s, at=place: course(s.x[0], at), View(UnitStep()), top - 1e-4)
         assert float(found.height) == pytest.approx(top, abs=1e-5)

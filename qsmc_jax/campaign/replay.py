@@ -32,7 +32,7 @@ class Replay:
     Attributes:
         trajectory: The run, as the solve that decided it; of one on which solves disagree, one that says VIOLATED.
         row: Its recorded row.
-        agrees: Whether verdict and sup |sigma|/rho are as recorded, or else whether the solves disagree again.
+        agrees: Whether verdicts and sup |sigma|/rho are as recorded, or else whether the solves disagree again.
     """
 
     trajectory: Trajectory

@@ -55,7 +55,7 @@ def verify_study(
     threads: Threads = None,
     cache: Cache = True,
 ) -> None:
-    """Verify the three claims of Theorem 1 by independent random runs, each with an exact interval.
+    """Verify the claims of Theorem 1 and the requirements of a study by random runs, with exact intervals.
 
     With `--out`, rows are kept block by block: the same command goes on where it stopped, more `--runs` extend it.
     """

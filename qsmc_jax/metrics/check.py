@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qsmc_jax.base.checks import is_hashable, nearest, require
+from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.names import require_name
 from qsmc_jax.base.programs import Program
@@ -83,11 +83,6 @@ def _check_part(measure: AbstractMeasure, part: AbstractKept, start: Signals, ho
         part.before <= horizon or math.isinf(part.before),
         f"Argument `before` of {kind} `{name}` must not lie beyond the horizon, {horizon:g} s, but is {part.before:g} "
         "s: leave it out for the horizon, or make `t1` longer.",
-    )
-    require(
-        is_hashable(part),
-        f"{kind.capitalize()} `{name}` must be made of plain functions, by which programs are kept, but has no hash. "
-        "Close over numbers, `lambda s: abs(s.u) - limit`, instead of `eqx.Partial`.",
     )
     program_of(measure, part, len(start.x))
     if isinstance(part, AbstractFunction):

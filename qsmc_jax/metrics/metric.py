@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from qsmc_jax.base import trees
-from qsmc_jax.base.checks import require
+from qsmc_jax.base.checks import is_hashable, require
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.record import Record, Worse
 from qsmc_jax.metrics.signals import AbstractStep, Signals
@@ -97,6 +97,11 @@ class AbstractKept(abc.ABC):
             bool(is_window),
             f"Arguments `after` and `before` of `{name}` must be a window of times, 0 <= after < before, but are "
             f"{self.after!r} and {self.before!r}.",
+        )
+        require(
+            is_hashable(self),
+            f"`{name}` must be made of plain functions, by which programs are kept, but has no hash. Close over "
+            "numbers, `lambda s: limit - abs(s.u)`, instead of `eqx.Partial`.",
         )
 
     @abc.abstractmethod

@@ -14,11 +14,11 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_hashable, require
+from qsmc_jax.base.checks import require
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.claims import margin_column, verdict_column
-from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, Extent
+from qsmc_jax.metrics.metric import AbstractFunction, AbstractMeasure, Extent
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.metrics.verdict import Verdict
@@ -233,7 +233,7 @@ def always(
         >>> bool(abs(runs["margin_input"] - (9.0 - runs["peak_u"])).max() < 1e-4)
         True
     """
-    return _Always(_hashable(of), after=after, before=before, unit=unit)
+    return _Always(of, after=after, before=before, unit=unit)
 
 
 def eventually(
@@ -257,17 +257,7 @@ def eventually(
         >>> near.parts[0].before
         2.0
     """
-    return _Eventually(_hashable(of), after=after, before=before, unit=unit)
-
-
-def _hashable(of: Callable[[Signals], Any]) -> Callable[[Signals], Any]:
-    """The function, which must have a hash."""
-    require(
-        is_hashable(of),
-        "Argument `of` must be a plain function, by which programs are kept, but has no hash. Close over numbers, "
-        "`lambda s: limit - abs(s.u)`, instead of `eqx.Partial`.",
-    )
-    return of
+    return _Eventually(of, after=after, before=before, unit=unit)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -282,7 +272,7 @@ class Required(AbstractMeasure):
     requirement: Requirement
 
     @property
-    def parts(self) -> tuple[AbstractKept, ...]:
+    def parts(self) -> tuple[AbstractExtreme, ...]:
         return tuple(dict.fromkeys(self.requirement.parts))
 
     @property
@@ -304,18 +294,14 @@ class Required(AbstractMeasure):
         return f"{self.requirement.form} of {order}"
 
     def report(self, kept: tuple[Any, ...], step: AbstractStep, extent: Extent) -> dict[str, Array]:
-        known = {
-            part: part.known(state, extent)
-            for part, state in zip(self.parts, kept, strict=True)
-            if isinstance(part, AbstractExtreme)
-        }
+        known = {part: part.known(state, extent) for part, state in zip(self.parts, kept, strict=True)}
         low, value, high = self.requirement.margin(known)
         held, violated = jnp.asarray(low > 0.0), jnp.asarray(high < 0.0)
         verdict = jnp.where(held, int(Verdict.HELD), jnp.where(violated, int(Verdict.VIOLATED), int(Verdict.UNDECIDED)))
         # Of a margin that is not known to its end the bound that decides is worth telling.
         bound = jnp.where(held, low, jnp.where(violated, high, jnp.nan))
-        is_known = extent.is_admitted & ~jnp.isnan(value)
+        margin = jnp.where(jnp.isnan(value), bound, value)
         return {
             verdict_column(self.name): jnp.where(extent.is_admitted, verdict, int(Verdict.INADMISSIBLE)),
-            margin_column(self.name): jnp.where(is_known, value, jnp.where(extent.is_admitted, bound, jnp.nan)),
+            margin_column(self.name): jnp.where(extent.is_admitted, margin, jnp.nan),
         }

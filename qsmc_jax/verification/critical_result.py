@@ -37,6 +37,10 @@ class CriticalTest(Counts):
             return "below"
         return "above" if self.low > self.below else "open"
 
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain numbers and texts."""
+        return {**dataclasses.asdict(self), "finding": self.finding}
+
 
 @dataclasses.dataclass(frozen=True)
 class CriticalValue:
@@ -137,7 +141,7 @@ class CriticalValue:
 
     def table(self) -> dict[str, Any]:
         """The tests as columns, a row a test."""
-        rows = [{**dataclasses.asdict(test), "finding": test.finding} for test in self.tests]
+        rows = [test.summary() for test in self.tests]
         return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
     def summary(self) -> dict[str, Any]:
@@ -158,7 +162,7 @@ class CriticalValue:
             "bandwidth": float(self.study.bandwidth),
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "runs": self.runs,
-            "tests": [{**dataclasses.asdict(test), "finding": test.finding} for test in self.tests],
+            "tests": [test.summary() for test in self.tests],
         }
 
     def _repr_html_(self) -> str:

@@ -1,4 +1,4 @@
-"""Verification by Monte Carlo: the three claims of Theorem 1, each with an exact interval."""
+"""Verification by Monte Carlo: the claims of Theorem 1 and the requirements of a study, with exact intervals."""
 
 import functools as ft
 import time
