@@ -228,6 +228,24 @@ def test_all_claims_together_are_counted_apart():
     assert found.worst["verdict_upper"][0] == VIOLATED or found.worst["verdict_lower"][0] == VIOLATED
 
 
+def test_a_run_that_is_lost_has_the_least_margin_in_the_median_of_a_map():
+    """With the wrong sign in two runs of three x runs away, and nobody knows whether it stays positive."""
+
+    def scenario(draw):
+        p = draw.parameter("p", 0.0, bounds=(0.0, 1.0))
+        sign = jnp.where(draw.uniform("coin", 0.0, 1.0) < p, -1.0, 1.0)
+        control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.1))
+        loop = qj.ClosedLoop(Integrator(2.0 * sign), qj.references.Constant(0.0), qj.disturbances.Zero(), control)
+        return qj.Scenario(loop, x0=[draw.uniform("x0", 0.5, 0.6)], t1=3.0)
+
+    positive = {"positive": qj.always(lambda s: s.x[0] + 1.0)}
+    study = qj.Study(scenario, bandwidth=0.3, requirements=positive)
+    found = qj.robustness_map(study, over={"p": [0.0, 0.66]}, runs=64, block=64)
+    assert found.claims["positive"].undecided.tolist()[0] == 0
+    assert found.claims["positive"].undecided.tolist()[1] > 32
+    assert found.medians["margin_positive"].tolist() == [pytest.approx(1.0, abs=1e-3), -math.inf]
+
+
 def test_a_sampled_loop_is_judged_too():
     def held(draw):
         made = qj.Implementation(sample_period=draw.uniform("period", 5e-3, 2e-2), saturation=0.5)

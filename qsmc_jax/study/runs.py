@@ -137,14 +137,21 @@ class Runs:
         """
         return count_verdicts(self[verdict_column(claim)])
 
+    def record_of(self, column: str) -> Record:
+        """What is known of a column: unit, meaning, label of an axis.
+
+        Args:
+            column: The column.
+        """
+        return self.records.get(column) or record_of(column)
+
     def to_pandas(self) -> Any:
         """The table as a `pandas.DataFrame` over the index of the run; needs the extra `notebook`."""
         return as_frame(self.columns, "index")
 
     def to_xarray(self) -> Any:
         """The table as an `xarray.Dataset` over the dimension `run`, with units; needs the extra `notebook`."""
-        known = {name: self.records.get(name) or record_of(name) for name in self.columns}
-        units = {name: {"units": record.unit} if record.unit else {} for name, record in known.items()}
+        units = {name: {"units": unit} if (unit := self.record_of(name).unit) else {} for name in self.columns}
         variables = {name: ("run", each, units[name]) for name, each in self.columns.items() if name != "index"}
         return as_dataset(variables, {"run": self["index"]}, {})
 

@@ -37,7 +37,7 @@ class RobustnessMap:
         grids: Their values.
         claims: By its name, each claim of Theorem 1 and each requirement of the study, an entry a cell.
         medians: Medians of some figures over the runs of a cell, in which a run that left the funnel or could not be
-            decided and has no figure counts as infinite; NaN where no run has one.
+            decided and has no figure counts as infinitely bad; NaN where no run has one.
         runs: Runs of each cell, the same ones in all.
         seed: Their seed.
         confidence: That all intervals of one claim hold together.
@@ -270,7 +270,7 @@ def _grid(study: Study, name: str, values: Any) -> Float[np.ndarray, " _"]:
 def _kept(table: Runs, metrics: tuple[str, ...]) -> Runs:
     """The columns that a map needs."""
     wanted = ("index", *map(verdict_column, table.claims), *metrics)
-    return Runs({name: table[name] for name in wanted if name in table.columns}, ())
+    return dataclasses.replace(table, columns={name: table[name] for name in wanted if name in table}, names=())
 
 
 def _counts(tables: list[Runs], claim: str, shape: tuple[int, ...], confidence: float) -> Counts:
@@ -280,10 +280,10 @@ def _counts(tables: list[Runs], claim: str, shape: tuple[int, ...], confidence: 
 
 
 def _median(table: Runs, name: str) -> float:
-    """The median of a figure of which more is worse; a run that is lost has more than any other."""
-    values = table[name]
+    """The median of a figure; a run that is lost is worse than any other."""
+    values, worst = table[name], -np.inf if table.record_of(name).worse == "low" else np.inf
     is_lost = np.isnan(values) & np.isin(table["verdict"], (Verdict.VIOLATED, Verdict.UNDECIDED))
-    known = np.where(is_lost, np.inf, values)[is_lost | ~np.isnan(values)]
+    known = np.where(is_lost, worst, values)[is_lost | ~np.isnan(values)]
     return float("nan") if np.isinf(known).all() else float(np.median(known))
 
 

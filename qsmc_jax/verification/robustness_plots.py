@@ -25,7 +25,7 @@ _CLEAR = 1.5
 
 
 def plot_map(result: "RobustnessMap", scales: Scales, ax: Any = None) -> Any:
-    """The probability of leaving the funnel over one name or two, and the medians of what else is known.
+    """The probability of violating a claim over one name or two, and the medians of what else is known.
 
     Args:
         result: What `robustness_map` returned.
