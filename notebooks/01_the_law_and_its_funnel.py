@@ -98,7 +98,7 @@ ax = run.plot_phase_plane()
 # %%
 for start in qj.paper.STARTS[1]:
     each = qj.simulate(loop, x0=[start, start], t1=qj.paper.HORIZON)
-    print(f"from ({start}, {start}): {each.verdict.name}, sup |sigma|/rho = {float(each.figures.peak_ratio):.4f}")
+    print(f"from ({start}, {start}): {each.verdict.name}, sup |sigma|/rho = {float(each.metrics.peak_ratio):.4f}")
 
 # %% [markdown]
 # ## Try it
@@ -182,7 +182,7 @@ print(f"{'rho_inf':>8}{'Euler 50 ms':>14}{'Euler 10 ms':>14}{'RK45':>14}{'Radau'
 for rho_inf in (0.05, 0.02, 0.01, 0.005):
     found = [euler(step, rho_inf).max() for step in (0.05, 0.01)]
     found += [ratios(each.t, each.y, rho_inf).max() for each in (naive(m, rho_inf) for m in ("RK45", "Radau"))]
-    found.append(float(ideal(rho_inf).figures.peak_ratio))
+    found.append(float(ideal(rho_inf).metrics.peak_ratio))
     print(f"{rho_inf:8}" + "".join(f"{value:14.4g}" for value in found))
 
 # %% [markdown]
@@ -235,7 +235,7 @@ class Reversed(qj.AbstractPlant):
 truth = qj.simulate(qj.ClosedLoop(Reversed(), reference, disturbance, control), x0=[0.9, 0.9], t1=10.0)
 missed = solve_ivp(plain, (0.0, 10.0), [0.9, 0.9], args=(0.05, factor))
 print("solve_ivp:", missed.message, f"Largest |sigma|/rho {ratios(missed.t, missed.y, 0.05).max():.2f}")
-print("qj.simulate:", truth.verdict.name, f"at {float(truth.figures.violation_time):.4f} s.", truth.outcome.advice)
+print("qj.simulate:", truth.verdict.name, f"at {float(truth.metrics.violation_time):.4f} s.", truth.outcome.advice)
 
 # %% [markdown]
 # SciPy's steps went past those few hundredths of a second, and it reports a run that never came near the edge. At a
@@ -243,7 +243,7 @@ print("qj.simulate:", truth.verdict.name, f"at {float(truth.figures.violation_ti
 # the broken premise:
 
 # %%
-print("least of sgn(g) g met on the way:", float(truth.figures.least_gain))
+print("least of sgn(g) g met on the way:", float(truth.metrics.least_gain))
 
 # %% [markdown]
 # ## What is done instead
@@ -257,7 +257,7 @@ print("least of sgn(g) g met on the way:", float(truth.figures.least_gain))
 for settings in (qj.SolverSettings(), qj.tight()):
     again = qj.simulate(loop, x0=[0.9, 0.9], t1=20.0, settings=settings)
     print(
-        f"rtol {float(settings.rtol):g}: {again.verdict.name}, sup |sigma|/rho = {float(again.figures.peak_ratio):.9f}"
+        f"rtol {float(settings.rtol):g}: {again.verdict.name}, sup |sigma|/rho = {float(again.metrics.peak_ratio):.9f}"
     )
 
 # %% [markdown]

@@ -247,7 +247,7 @@ attempt(lambda: qj.simulate(qj.ClosedLoop(Crane(2.0, 0.1), Swing(), wind, contro
 # %%
 def told(run):
     """Verdict and advice."""
-    return f"{run.verdict.name}, ended at {float(run.figures.end_time):.4f} s\n{run.outcome.advice}"
+    return f"{run.verdict.name}, ended at {float(run.metrics.end_time):.4f} s\n{run.outcome.advice}"
 
 
 # %% [markdown]
@@ -263,7 +263,7 @@ attempt(lambda: told(qj.simulate(loop, x0=[1.5, 0.0], t1=15.0)))
 wrong_sign = qj.QuasiSlidingControl(surface, funnel, gain_sign=+1)
 broken = qj.simulate(qj.ClosedLoop(Crane(2.0, 0.1), reference, wind, wrong_sign), x0=[0.4, 0.0], t1=15.0)
 attempt(lambda: told(broken))
-print("least of gain_sign * g:", float(broken.figures.least_gain))
+print("least of gain_sign * g:", float(broken.metrics.least_gain))
 
 # %% [markdown]
 # ## Something that happens quickly
@@ -298,7 +298,7 @@ figure, ax = plt.subplots(figsize=(8, 3.6), layout="constrained")
 for declared, label in ((5.0, "declared at 5 s"), (7.0, "declared at 7 s")):
     hit = qj.ClosedLoop(Crane(2.0, 0.1), reference, Blow(100.0, declared), control)
     blow = qj.simulate(hit, x0=[0.4, 0.0], t1=15.0, ts=np.linspace(4.95, 5.15, 401))
-    peak = blow.figures
+    peak = blow.metrics
     found = f"sup |sigma|/rho {float(peak.peak_ratio):.4f} at {float(peak.peak_time):.4f} s"
     print(f"{label:16} {found} in {int(peak.steps)} steps")
     ax.plot(blow.ts, np.abs(blow.sigma) / blow.rho, label=label)

@@ -63,7 +63,7 @@ print(run)
 axes = run.plot()
 
 # %% [markdown]
-# Figures are added: `sup (|sigma| - rho)` is how far outside the run got, and the last line is what "chattering-free"
+# Metrics are added: `sup (|sigma| - rho)` is how far outside the run got, and the last line is what "chattering-free"
 # is worth. The *excess variation* is the total variation of $u$ beyond that of the equivalent input $-w / g$, which
 # any controller needs.
 #
@@ -193,6 +193,6 @@ print(comparison)
 axes = comparison.plot()
 
 # %% [markdown]
-# All of them keep the funnel. The difference is in the last figure: the sign law pays for it with an input that never
+# All of them keep the funnel. The difference is in the last metric: the sign law pays for it with an input that never
 # rests, and the quasi-sliding-mode law does not chatter. How much noise changes that, and more rivals, is in
 # `studies/controllers_compared.py`.

@@ -84,7 +84,7 @@ print(tuned)
 
 # %% [markdown]
 # The table has the gains before and after, and how far each constraint is from its bound, relative to it. The
-# derivatives say which gain matters for what: by how many percent a figure changes if a gain grows by one percent.
+# derivatives say which gain matters for what: by how many percent a metric changes if a gain grows by one percent.
 
 # %%
 axes = tuned.plot()
@@ -104,7 +104,7 @@ for (label, run), colour in zip(pairs.items(), ("tab:blue", "tab:orange"), stric
     axes[1].plot(run.ts[now], run.sigma[now], color=colour, label=label)
     for sign in (-1.0, 1.0):
         axes[1].plot(run.ts[now], sign * run.rho[now], "--", color=colour)
-    print(f"{label}: total variation of the whole run {float(run.figures.total_variation_u):.1f} N m")
+    print(f"{label}: total variation of the whole run {float(run.metrics.total_variation_u):.1f} N m")
 axes[0].set(xlabel="t [s]", ylabel="u [N m]", title="Input")
 axes[1].set(xlabel="t [s]", ylabel=r"$\sigma$ [rad/s]", title="Sliding variable in its funnel (dashed)")
 for ax in axes:
@@ -130,7 +130,7 @@ landscape = qj.landscape(
     runs=16 if small else 64,
     mark={"paper": {"mu": 3.0, "rho_inf": 0.05}, "tuned": tuned.gains},
 )
-ax = landscape.plot(tuned)
+ax = landscape.plot(tuned=tuned)
 
 # %% [markdown]
 # A quiet input and a small error are not to be had together. The efficient gains, which no others beat in both, are

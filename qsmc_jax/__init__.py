@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from qsmc_jax.metrics.requirements import Requirement as Requirement
     from qsmc_jax.metrics.requirements import always as always
     from qsmc_jax.metrics.requirements import eventually as eventually
-    from qsmc_jax.metrics.standard import Figures as Figures
+    from qsmc_jax.metrics.standard import Metrics as Metrics
     from qsmc_jax.metrics.verdict import Verdict as Verdict
     from qsmc_jax.model import disturbances as disturbances
     from qsmc_jax.model import plants as plants
@@ -38,11 +38,22 @@ if TYPE_CHECKING:
     from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
     from qsmc_jax.model.references import AbstractReference as AbstractReference
+    from qsmc_jax.report.saved import load as load
+    from qsmc_jax.report.saved import save as save
+    from qsmc_jax.robustness.comparison import Comparison as Comparison
+    from qsmc_jax.robustness.comparison import compare as compare
+    from qsmc_jax.robustness.critical import critical_value as critical_value
+    from qsmc_jax.robustness.critical_result import CriticalValue as CriticalValue
+    from qsmc_jax.robustness.limits import Threshold as Threshold
+    from qsmc_jax.robustness.map import RobustnessMap as RobustnessMap
+    from qsmc_jax.robustness.map import robustness_map as robustness_map
     from qsmc_jax.simulation.outcome import Outcome as Outcome
     from qsmc_jax.simulation.settings import SolverSettings as SolverSettings
     from qsmc_jax.simulation.settings import tight as tight
     from qsmc_jax.simulation.trajectory import Trajectory as Trajectory
     from qsmc_jax.simulation.trajectory import simulate as simulate
+    from qsmc_jax.statistics.anytime import confidence_sequence as confidence_sequence
+    from qsmc_jax.statistics.intervals import runs_needed as runs_needed
     from qsmc_jax.study.monte_carlo import monte_carlo as monte_carlo
     from qsmc_jax.study.monte_carlo import stream as stream
     from qsmc_jax.study.runs import Runs as Runs
@@ -60,16 +71,7 @@ if TYPE_CHECKING:
     from qsmc_jax.tuning.result import Tuning as Tuning
     from qsmc_jax.tuning.tune import tune as tune
     from qsmc_jax.verification import stopping as stopping
-    from qsmc_jax.verification.anytime import confidence_sequence as confidence_sequence
-    from qsmc_jax.verification.comparison import Comparison as Comparison
-    from qsmc_jax.verification.comparison import compare as compare
-    from qsmc_jax.verification.critical import critical_value as critical_value
-    from qsmc_jax.verification.critical_result import CriticalValue as CriticalValue
-    from qsmc_jax.verification.limits import Threshold as Threshold
     from qsmc_jax.verification.result import Verification as Verification
-    from qsmc_jax.verification.robustness import RobustnessMap as RobustnessMap
-    from qsmc_jax.verification.robustness import robustness_map as robustness_map
-    from qsmc_jax.verification.statistics import runs_needed as runs_needed
     from qsmc_jax.verification.verify import verify as verify
 
 # Names are loaded on first use, so that `qsmc --help` need not wait for JAX. A test holds this table against the
@@ -88,10 +90,12 @@ _HOMES = {
     "AbstractDisturbance": "qsmc_jax.model.disturbances",
     "AbstractPlant": "qsmc_jax.model.plants",
     "AbstractReference": "qsmc_jax.model.references",
-    "Figures": "qsmc_jax.metrics.standard",
+    "Metrics": "qsmc_jax.metrics.standard",
     "always": "qsmc_jax.metrics.requirements",
     "eventually": "qsmc_jax.metrics.requirements",
     "Requirement": "qsmc_jax.metrics.requirements",
+    "load": "qsmc_jax.report.saved",
+    "save": "qsmc_jax.report.saved",
     "Outcome": "qsmc_jax.simulation.outcome",
     "Verdict": "qsmc_jax.metrics.verdict",
     "SolverSettings": "qsmc_jax.simulation.settings",
@@ -108,20 +112,20 @@ _HOMES = {
     "Sobol": "qsmc_jax.study.sampling",
     "Scenario": "qsmc_jax.study.study",
     "Study": "qsmc_jax.study.study",
-    "Comparison": "qsmc_jax.verification.comparison",
-    "compare": "qsmc_jax.verification.comparison",
+    "Comparison": "qsmc_jax.robustness.comparison",
+    "compare": "qsmc_jax.robustness.comparison",
     "Certificate": "qsmc_jax.tuning.certificate",
     "Landscape": "qsmc_jax.tuning.landscape",
     "landscape": "qsmc_jax.tuning.landscape",
     "Tuning": "qsmc_jax.tuning.result",
     "tune": "qsmc_jax.tuning.tune",
-    "CriticalValue": "qsmc_jax.verification.critical_result",
-    "critical_value": "qsmc_jax.verification.critical",
-    "RobustnessMap": "qsmc_jax.verification.robustness",
-    "Threshold": "qsmc_jax.verification.limits",
-    "robustness_map": "qsmc_jax.verification.robustness",
-    "confidence_sequence": "qsmc_jax.verification.anytime",
-    "runs_needed": "qsmc_jax.verification.statistics",
+    "CriticalValue": "qsmc_jax.robustness.critical_result",
+    "critical_value": "qsmc_jax.robustness.critical",
+    "RobustnessMap": "qsmc_jax.robustness.map",
+    "Threshold": "qsmc_jax.robustness.limits",
+    "robustness_map": "qsmc_jax.robustness.map",
+    "confidence_sequence": "qsmc_jax.statistics.anytime",
+    "runs_needed": "qsmc_jax.statistics.intervals",
     "Verification": "qsmc_jax.verification.result",
     "verify": "qsmc_jax.verification.verify",
 }

@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.module import AbstractModule, require_fields
-from qsmc_jax.base.traceable import described, is_number, once_per_structure, trace
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.law import QuasiSlidingControl
@@ -17,6 +16,7 @@ from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
 from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.references import AbstractReference
+from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
 
 
 class Balance(NamedTuple):
@@ -79,7 +79,7 @@ class ClosedLoop(AbstractModule):
     Source: paper, eqs. (1), (2), (4).
     """
 
-    remedy: ClassVar[str] = "Make one: `qj.ClosedLoop(plant, reference, disturbance, control)`."
+    hint: ClassVar[str] = "Make one: `qj.ClosedLoop(plant, reference, disturbance, control)`."
 
     plant: AbstractPlant
     reference: AbstractReference
@@ -171,11 +171,11 @@ class ClosedLoop(AbstractModule):
             t: Time [s].
             x: State, n scalars.
         """
-        plan = self.implementation
+        implementation = self.implementation
         gain = self.plant.gain(t, x)
-        if plan is not None and plan.gain_fault is not None:
-            gain = gain * plan.gain_fault(t)
-        unmatched = () if plan is None else tuple(signal(t) for signal in plan.unmatched)
+        if implementation is not None and implementation.gain_fault is not None:
+            gain = gain * implementation.gain_fault(t)
+        unmatched = () if implementation is None else tuple(signal(t) for signal in implementation.unmatched)
         return Terms(self.plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
 
     def rates(self, terms: Terms, x: State, u: RealScalarLike) -> Scalars:

@@ -7,7 +7,7 @@ With `flip` 1 the sides are exchanged, so that the probability is 1 - p.
 import jax.numpy as jnp
 
 import qsmc_jax as qj
-from tests.studies_for_tests import Integrator
+from studies_for_tests import Integrator
 
 
 def scenario(draw):

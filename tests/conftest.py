@@ -24,8 +24,15 @@ mpl.use("agg")
 # As the program does: tracing makes many objects that stay, and looking through them each 700 new ones takes its time.
 gc.set_threshold(50_000)
 
-# Before anything imports the package: from here on beartype checks every call against its annotations.
-jaxtyping.install_import_hook("qsmc_jax", "beartype.beartype")
+
+def pytest_configure(config):
+    """Before anything imports the package: from here on beartype checks every call against its annotations.
+
+    Not for the slow tests alone, which it would make a quarter slower: what they call, the default ones call too.
+    """
+    if config.option.markexpr != "slow":
+        jaxtyping.install_import_hook("qsmc_jax", "beartype.beartype")
+
 
 hypothesis.settings.register_profile("default", deadline=None, derandomize=True, max_examples=50, database=None)
 hypothesis.settings.load_profile("default")
@@ -40,9 +47,9 @@ def few_programs():
     """Forgets compiled programs once a process holds very many."""
     yield
     if next(_tests) % _EVERY == 0 and _MAPS.exists() and _MAPS.read_bytes().count(b"\n") > _MOST_MAPS:
-        from qsmc_jax.study import lanes
+        from qsmc_jax.study import batches
 
-        lanes._traced.cache_clear()
-        lanes._compiled.cache_clear()
+        batches._traced.cache_clear()
+        batches._compiled.cache_clear()
         jax.clear_caches()
         gc.collect()

@@ -293,6 +293,6 @@ def at_ends(t1):
     return np.array([0.0, t1])
 
 
-def verdict_of(figures):
+def verdict_of(metrics):
     """The verdict on the funnel, its name."""
-    return qj.Verdict(int(figures.verdict)).name
+    return qj.Verdict(int(metrics.verdict)).name

@@ -220,7 +220,7 @@ MISTAKES = {
         lambda: qj.Runs({"index": np.arange(2), "peak_ratio": np.ones(2)}, ())["peak_ration"],
         "There is no column `peak_ration`. Did you mean `peak_ratio`?",
     ),
-    "figure misspelt": (
+    "metric misspelt": (
         lambda: qj.tune(TUNABLE, ["t1"], "mean(energy)"),
         "`objective` names `energy`, but must name one of .*. Did you mean `energy_u`?",
     ),

@@ -22,9 +22,9 @@ NODES = -np.cos(np.linspace(0.0, math.pi, 13))  # of Chebyshev, on [-1, 1], wher
 FIT = np.linalg.inv(chebyshev.chebvander(NODES, len(NODES) - 1))
 EXTRAS = 5  # states after those of plant and actuator: two of the filter, integrals of its output^2, of u^2, of e^2
 
-Run = collections.namedtuple("Run", "times commands trajectory figures")  # times and commands: of the samples
+Run = collections.namedtuple("Run", "times commands trajectory metrics")  # times and commands: of the samples
 Sample = collections.namedtuple("Sample", "k t period sigma rho desired")  # what a law is given
-Figures = collections.namedtuple(
+Metrics = collections.namedtuple(
     "Figures",  # those of the steady phase are NaN if there is none
     "peak_ratio peak_excess violation_time recovery_time reach_time peak_u total_variation_u energy_u rms_error "
     "peak_errors excess_variation_u peak_rate_u reversal_rate high_frequency_ratio",
@@ -185,7 +185,7 @@ def simulate(loop, x0, horizon, bandwidth):
         held = commands[arrived - 1] if arrived else 0.0
         states[end] = _advance(trajectory, states[begin], begin, end, held)
     run = Run(times, np.array(commands), trajectory, None)
-    return run._replace(figures=_figures(run, states.get(t_r), states[horizon], t_r, horizon, bandwidth))
+    return run._replace(metrics=_metrics(run, states.get(t_r), states[horizon], t_r, horizon, bandwidth))
 
 
 def _advance(trajectory, y, begin, end, command):
@@ -205,7 +205,7 @@ def _advance(trajectory, y, begin, end, command):
     return found.y[:, -1]
 
 
-def _figures(run, steady, last, t_r, horizon, bandwidth):
+def _metrics(run, steady, last, t_r, horizon, bandwidth):
     times, commands, trajectory, _ = run
     loop, size, (t, x, u) = trajectory.loop, trajectory.size, trajectory.nodes()
     sigma, rho, path = np.abs(loop.sigma(t, x)), loop.rho(t), turning_path(u)
@@ -221,7 +221,7 @@ def _figures(run, steady, last, t_r, horizon, bandwidth):
         "energy_u": last[-2],
         "rms_error": math.sqrt(last[-1] / horizon),
     }
-    after = dict.fromkeys(Figures._fields, math.nan) | {"peak_errors": (math.nan,) * loop.order}
+    after = dict.fromkeys(Metrics._fields, math.nan) | {"peak_errors": (math.nan,) * loop.order}
     late = t[:, 0] >= t_r
     if steady is not None and late.any():
         t, x, u = t[late], x[:, late], u[late]
@@ -234,7 +234,7 @@ def _figures(run, steady, last, t_r, horizon, bandwidth):
             "reversal_rate": reversals(counted) / (horizon - t_r),
             "high_frequency_ratio": powers[-3] / powers[-2] if powers[-2] > 0.0 else math.nan,
         }
-    return Figures(**(after | whole))
+    return Metrics(**(after | whole))
 
 
 def turning_path(values):

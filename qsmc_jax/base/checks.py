@@ -36,14 +36,14 @@ def require(condition: bool, message: str) -> None:
         raise InputError(message)
 
 
-def require_kind(name: str, value: Any, kind: type, remedy: str) -> None:
-    """Raises unless `value` is an instance of a class; `remedy` says how to make one."""
+def require_kind(name: str, value: Any, kind: type, hint: str) -> None:
+    """Raises unless `value` is an instance of a class; `hint` says how to make one."""
     if not isinstance(value, kind):
         is_class = isinstance(value, type)
         found = f"the class `{value.__name__}` itself" if is_class else f"of class `{type(value).__name__}`"
         if is_class and issubclass(value, kind) and not isabstract(value):
-            remedy = f"Call it: `{value.__name__}(...)`."
-        raise InputError(f"Argument `{name}` must be of class `{kind.__name__}`, but is {found}. {remedy}".rstrip())
+            hint = f"Call it: `{value.__name__}(...)`."
+        raise InputError(f"Argument `{name}` must be of class `{kind.__name__}`, but is {found}. {hint}".rstrip())
 
 
 def require_list(name: str, values: Any) -> None:

@@ -26,7 +26,7 @@ class AbstractModule(eqx.Module):
     """
 
     # How to come by one; added to the message where something else is given instead.
-    remedy: ClassVar[str] = ""
+    hint: ClassVar[str] = ""
     # What is possible where one would derive a class from a final one; added to that message.
     instead: ClassVar[str] = ""
 
@@ -59,7 +59,7 @@ def require_fields(module: AbstractModule) -> None:
             fits = np.ndim(value) == rank
             require(fits, f"Argument `{name}` of `{owner}` must be {_RANKS[rank]}, but has shape {np.shape(value)}.")
         if kind is not None and not (value is None and type(None) in get_args(hint)):
-            require_kind(f"{name}` of `{owner}", value, kind, kind.remedy)
+            require_kind(f"{name}` of `{owner}", value, kind, kind.hint)
 
 
 def _shown(value: Any) -> str:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qsmc_jax.campaign.atomic import write_whole
+from qsmc_jax.base.atomic import write_whole
 from qsmc_jax.campaign.columns import described
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.study.runs import Runs
@@ -39,7 +39,7 @@ class BlockFile:
     path: Path
 
     def read(self, fingerprint: str) -> "Block":
-        """Its rows, in order, and what was written besides.
+        """Its rows, in order, and the metadata written with them.
 
         Args:
             fingerprint: That of the campaign.
@@ -93,7 +93,7 @@ def write_block(
     Args:
         folder: Where block files are.
         table: The rows, in order.
-        about: What to write besides, plain numbers; equal for equal rows.
+        about: Metadata to write with them, plain numbers; equal for equal rows.
         records: What is known of the columns that the study alone has.
         fingerprint: That of the campaign.
 
@@ -108,7 +108,7 @@ def write_block(
     written = {"names": table.names, "fingerprint": fingerprint, "runs": (start, stop), **about}
     schema = described(rows.schema, records).with_metadata({_KEY: json.dumps(written)})
     sink = pa.BufferOutputStream()
-    # Drawn numbers and figures hardly ever repeat: without a dictionary they take less room, and a third of the time.
+    # Drawn numbers and metrics hardly ever repeat: without a dictionary they take less room, and a third of the time.
     pq.write_table(rows.cast(schema), sink, compression="zstd", use_dictionary=False)
     content = sink.getvalue().to_pybytes()
     path = folder / f"{start:012d}-{stop:012d}-{_hash(content)}.parquet"

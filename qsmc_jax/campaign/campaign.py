@@ -1,4 +1,4 @@
-"""A verification that lasts: blocks of rows in a run folder, gone on with where it stopped."""
+"""A verification that lasts: blocks of rows in a run folder, resumed where it stopped."""
 
 import dataclasses
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.campaign.config import CampaignConfig
 from qsmc_jax.campaign.engines import AbstractEngine, Task, Threads
 from qsmc_jax.campaign.folder import FILE_RUNS, RunFolder, Session
-from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate
-from qsmc_jax.verification.evidence import Effort, Evidence, check_request
+from qsmc_jax.verification.accumulate import Cost, VerificationAccumulator, check_request
 from qsmc_jax.verification.result import Verification
-from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import AbstractRule, decision_of
+from qsmc_jax.verification.tiers import Tiers
 
 # By how much sup |sigma|/rho may differ where rounding does, in units of the relative tolerance, and a drawn number.
 _AGREEMENT, _DRAWN = 1e3, 1e-9
@@ -30,7 +30,7 @@ _PROBED, _PROBED_BLOCKS = 4, 64
 
 def prepare(
     path: Path,
-    recipe: Recipe,
+    config: CampaignConfig,
     *,
     study_file: str = "study.py",
     file_runs: int = FILE_RUNS,
@@ -40,7 +40,7 @@ def prepare(
 
     Args:
         path: The folder.
-        recipe: What decides its rows.
+        config: What decides its rows.
         study_file: The study's file, as the user named it.
         file_runs: Runs in each block file of a new folder, at least 1.
         provenance: Versions, machine and time, plain values.
@@ -54,21 +54,21 @@ def prepare(
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
+        >>> config = qj.campaign.CampaignConfig(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
-        ...     qj.campaign.prepare(pathlib.Path(place, "run"), recipe).manifest["identity"]["seed"]
+        ...     qj.campaign.prepare(pathlib.Path(place, "run"), config).manifest["identity"]["seed"]
         0
     """
     folder = RunFolder(path)
     if not folder.exists:
-        return RunFolder.create(path, recipe, study_file, file_runs, provenance or {})
-    RunFolder.open(path).check(recipe)
+        return RunFolder.create(path, config, study_file, file_runs, provenance or {})
+    RunFolder.open(path).check(config)
     return folder
 
 
 def run_campaign(
     folder: RunFolder,
-    recipe: Recipe,
+    config: CampaignConfig,
     runs: int,
     confidence: float = 0.95,
     *,
@@ -87,14 +87,14 @@ def run_campaign(
 
     Args:
         folder: The run folder; see `prepare`.
-        recipe: How to solve runs; the folder's own.
+        config: How to solve runs; the folder's own.
         runs: How many, at least 1; fewer than there are report on the first ones.
         confidence: Confidence of each interval, strictly between 0 and 1.
         worst: How many of the worst runs to report, at least 1.
         until: When to stop before.
         engine: Who solves; None for the threads of this process.
         progress: Called as `progress(done, runs)` after each block.
-        should_stop: Asked before each block is begun; blocks in hand are finished and written.
+        should_stop: Called before each block starts; blocks under way are finished and written.
         provenance: Versions, machine and time, for the note of this session.
 
     Returns:
@@ -110,50 +110,50 @@ def run_campaign(
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
+        >>> config = qj.campaign.CampaignConfig(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
-        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
-        ...     print(qj.campaign.run_campaign(folder, recipe, runs=64).conclusion())
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), config)
+        ...     print(qj.campaign.run_campaign(folder, config, runs=64).conclusion())
         HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
     check_request(runs, confidence, worst, until)
     is_anytime = folder.ask_for(runs, until is not None)
-    evidence, session = Evidence(recipe.study, worst), folder.begin_session(provenance or {})
+    accumulator, session = VerificationAccumulator(config.study, worst), folder.begin_session(provenance or {})
     state, decision = "interrupted", None
-    blocks, engine = Blocks(folder, recipe, runs, should_stop), engine or Threads()
+    blocks, engine = Blocks(folder, config, runs, should_stop), engine or Threads()
     solving = blocks.solved(engine, session)
     is_solved_here = isinstance(engine, Threads) and bool(folder.missing(0, runs))
     try:
-        first = recipe.lanes if is_solved_here else None
-        with Rungs.of(recipe.study, recipe.settings).compiling_check(recipe.study, first):
+        first = config.solver if is_solved_here else None
+        with Tiers.of(config.study, config.settings).compiling_check(config.study, first):
             for done in blocks.in_order(solving):
-                for table in folder.tables(evidence.runs, done):
-                    evidence.add(table)
+                for table in folder.tables(accumulator.runs, done):
+                    accumulator.add(table)
                 require(
-                    evidence.runs == done,
-                    f"Folder `{folder.path}` lost rows while it was read: {evidence.runs} of {done} are there. Give "
+                    accumulator.runs == done,
+                    f"Folder `{folder.path}` lost rows while it was read: {accumulator.runs} of {done} are there. Give "
                     "the same command again: it solves what is missing.",
                 )
                 if progress is not None:
                     progress(done, runs)
-                decision = decision_of(until, evidence.summary.counts["funnel"], confidence)
+                decision = decision_of(until, accumulator.summary.counts["funnel"], confidence)
                 if decision is not None:
                     break
-        state = "done" if decision is not None or evidence.runs >= runs else "interrupted"
+        state = "done" if decision is not None or accumulator.runs >= runs else "interrupted"
     finally:
         solving.close()
         if session.runs or state == "interrupted":
             session.write(state)
     if state != "done":
         return None
-    about = {"seed": recipe.seed, "confidence": confidence, "settings": recipe.settings}
-    effort = _effort(folder, evidence.runs)
-    return evidence.conclude(recipe.stream, effort, **about, is_anytime=is_anytime, decision=decision)
+    about = {"seed": config.seed, "confidence": confidence, "settings": config.settings}
+    cost = _cost(folder, accumulator.runs)
+    return accumulator.conclude(config.stream, cost, **about, is_anytime=is_anytime, decision=decision)
 
 
 def work_shard(
     folder: RunFolder,
-    recipe: Recipe,
+    config: CampaignConfig,
     shard: int,
     shards: int,
     *,
@@ -165,7 +165,7 @@ def work_shard(
 
     Args:
         folder: The run folder, shared by all workers.
-        recipe: How to solve runs; the folder's own.
+        config: How to solve runs; the folder's own.
         shard: Which of the shards, 0 <= shard < shards.
         shards: How many there are.
         progress: Called as `progress(done, runs)` after each block, with the runs of all shards.
@@ -183,19 +183,19 @@ def work_shard(
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
+        >>> config = qj.campaign.CampaignConfig(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
-        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe, file_runs=64)
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), config, file_runs=64)
         ...     _ = folder.ask_for(128, is_anytime=False)
-        ...     qj.campaign.work_shard(folder, recipe, shard=1, shards=2), folder.missing(0, 128)
+        ...     qj.campaign.work_shard(folder, config, shard=1, shards=2), folder.missing(0, 128)
         (True, [range(0, 64)])
     """
     require(0 <= shard < shards, f"Argument `shard` must be i/n with 0 <= i < n, but is {shard}/{shards}.")
     asked_for = folder.asked_for
     require(bool(asked_for), f"Folder `{folder.path}` has no runs asked for: prepare it with `qsmc verify --prepare`.")
-    folder.check(recipe)
+    folder.check(config)
     session, runs = folder.begin_session(provenance or {}), max(asked_for)
-    blocks = Blocks(folder, recipe, runs, should_stop, lambda number: number % shards == shard)
+    blocks = Blocks(folder, config, runs, should_stop, lambda number: number % shards == shard)
     for number in blocks.solved(Threads(), session):
         if progress is not None:
             progress(min((number + 1) * blocks.size, runs), runs)
@@ -209,14 +209,14 @@ class Blocks:
 
     Attributes:
         folder: Where they are.
-        recipe: How to solve them.
+        config: How to solve them.
         runs: Runs of all together.
         should_stop: Asked before each block is begun.
         is_mine: Which numbers of blocks are to be solved here.
     """
 
     folder: RunFolder
-    recipe: Recipe
+    config: CampaignConfig
     runs: int
     should_stop: Callable[[], bool]
     is_mine: Callable[[int], bool] = lambda _: True
@@ -227,9 +227,9 @@ class Blocks:
 
     def solved(self, engine: AbstractEngine, session: Session) -> Generator[int, None, None]:
         """Numbers of blocks, each once all of its rows are in the folder, in any order."""
-        for task, parts in engine.solve(self.recipe, self._tasks()):
+        for task, parts in engine.solve(self.config, self._tasks()):
             for solved in parts:
-                self.folder.add(solved, self.recipe.study.records)
+                self.folder.add(solved, self.config.study.records)
                 session.add(solved)
             yield task.number
 
@@ -263,7 +263,7 @@ class Blocks:
         some = [_spread(block.rows) for _, block in self.folder.blocks(_PROBED_BLOCKS)]
         if some:
             there = concatenate(some)
-            _require_equal(there, self.recipe.solve(there["index"].tolist()).rows, self)
+            _require_equal(there, self.config.solve(there["index"].tolist()).rows, self)
 
 
 def _spread(rows: Runs) -> Runs:
@@ -272,8 +272,8 @@ def _spread(rows: Runs) -> Runs:
 
 
 def _require_equal(there: Runs, now: Runs, blocks: Blocks) -> None:
-    figures = dict.fromkeys(there, _AGREEMENT * float(blocks.recipe.settings.rtol))
-    tolerances = {**figures, **dict.fromkeys(there.names, _DRAWN), **_BY_STEPS}
+    metrics = dict.fromkeys(there, _AGREEMENT * float(blocks.config.settings.rtol))
+    tolerances = {**metrics, **dict.fromkeys(there.names, _DRAWN), **_BY_STEPS}
     for column in (each for each in there if each != _NOT_COMPARED):
         rtol = tolerances[column]
         is_same = column in now and np.allclose(there[column], now[column], rtol=rtol, atol=_DRAWN, equal_nan=True)
@@ -284,9 +284,9 @@ def _require_equal(there: Runs, now: Runs, blocks: Blocks) -> None:
         )
 
 
-def _effort(folder: RunFolder, runs: int) -> Effort:
+def _cost(folder: RunFolder, runs: int) -> Cost:
     """What all sessions together spent."""
     sessions = folder.sessions()
     steps, paid = (sum(each[name] for each in sessions) for name in ("steps", "paid"))
     seconds = sum(each["seconds"] for each in sessions)
-    return Effort(**folder.effort(runs), occupancy=steps / paid if paid else 1.0, seconds=seconds)
+    return Cost(**folder.cost(runs), occupancy=steps / paid if paid else 1.0, seconds=seconds)

@@ -6,7 +6,7 @@ from typing import Any
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.standard import record_of
 
-_OWN = {"index": "Index of the run", "rung": "The solve whose figures these are: 0 first, 1 firmer, 2 independent"}
+_OWN = {"index": "Index of the run", "tier": "The solve whose metrics these are: 0 first, 1 firmer, 2 independent"}
 
 
 def described(schema: Any, records: Mapping[str, Record]) -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.script import run_script
-from qsmc_jax.campaign.recipe import Recipe, Solved
+from qsmc_jax.campaign.config import CampaignConfig, Solved
 from qsmc_jax.study.study import Study
 
 
@@ -32,11 +32,11 @@ class AbstractEngine(abc.ABC):
     """Solves tasks."""
 
     @abc.abstractmethod
-    def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
+    def solve(self, config: CampaignConfig, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
         """Yields each task with its rows, in any order; takes no more tasks than it can begin with soon.
 
         Args:
-            recipe: How to solve runs.
+            config: How to solve runs.
             tasks: What to solve.
         """
 
@@ -50,14 +50,14 @@ class Threads(AbstractEngine):
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
+        >>> config = qj.campaign.CampaignConfig(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
-        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
-        ...     qj.campaign.run_campaign(folder, recipe, runs=64, engine=qj.campaign.Threads()).verdict.name
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), config)
+        ...     qj.campaign.run_campaign(folder, config, runs=64, engine=qj.campaign.Threads()).verdict.name
         'HELD'
     """
 
-    def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
+    def solve(self, config: CampaignConfig, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
         before: tuple[Task, Future[list[Solved]]] | None = None
         closed = threading.Event()
 
@@ -69,7 +69,7 @@ class Threads(AbstractEngine):
         with ThreadPoolExecutor(1) as pool:
             try:
                 for task in tasks:
-                    solving = pool.submit(lambda missing: [recipe.solve(runs, go_on) for runs in missing], task.missing)
+                    solving = pool.submit(lambda missing: [config.solve(runs, go_on) for runs in missing], task.missing)
                     if before is not None:
                         yield before[0], before[1].result()
                     before = task, solving
@@ -98,17 +98,17 @@ class Dask(AbstractEngine):
     client: Any
     retries: int = 2
 
-    def solve(self, recipe: Recipe, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
+    def solve(self, config: CampaignConfig, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Solved]]]:
         from distributed import as_completed
 
         # A worker's own threads take a task each: one thread a task, unless more are asked for.
         options = {
-            "seed": recipe.seed,
-            "settings": recipe.settings,
-            "block": recipe.block,
-            "threads": recipe.threads or 1,
+            "seed": config.seed,
+            "settings": config.settings,
+            "block": config.block,
+            "threads": config.threads or 1,
         }
-        work = ft.partial(_solve, recipe.source, dict(recipe.study.values), options)
+        work = ft.partial(_solve, config.source, dict(config.study.values), options)
         held: dict[Any, Task] = {}
         done: collections.deque[tuple[Task, list[Solved]]] = collections.deque()
         arriving = as_completed()
@@ -141,8 +141,8 @@ class Dask(AbstractEngine):
 
 def _solve(source: bytes, values: dict[str, Any], options: dict[str, Any], missing: tuple[range, ...]) -> list[Solved]:
     """What a worker does: the study comes as the bytes of its file, to be run here."""
-    recipe = Recipe(_study(source).substitute(**values), source, **options)
-    return [recipe.solve(runs) for runs in missing]
+    config = CampaignConfig(_study(source).substitute(**values), source, **options)
+    return [config.solve(runs) for runs in missing]
 
 
 @ft.lru_cache(maxsize=4)

@@ -11,19 +11,19 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from qsmc_jax.base.atomic import is_dead, machine, remove_leftovers, temporary_beside, write_whole
 from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.campaign.atomic import is_dead, machine, remove_leftovers, temporary_beside, write_whole
 from qsmc_jax.campaign.blocks import Block, BlockError, BlockFile, block_files, gaps, write_block
+from qsmc_jax.campaign.config import CampaignConfig, Solved, fingerprint, require_same
 from qsmc_jax.campaign.documents import IDENTITY, MANIFEST, REQUEST, SESSION, SUMMARY, read_document, require_keys
-from qsmc_jax.campaign.recipe import Recipe, Solved, fingerprint, require_same
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.verification.stopping import LOOK
 
 _LOG = logging.getLogger(__name__)
 
-SCHEMA = 3
+SCHEMA = 4
 FILE_RUNS = LOOK
 
 
@@ -40,9 +40,9 @@ class RunFolder:
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
+        >>> config = qj.campaign.CampaignConfig(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
-        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), config)
         ...     qj.campaign.RunFolder.open(folder.path).missing(0, 128)
         [range(0, 128)]
     """
@@ -51,13 +51,13 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls, path: Path, recipe: Recipe, study_file: str, file_runs: int, provenance: Mapping[str, Any]
+        cls, path: Path, config: CampaignConfig, study_file: str, file_runs: int, provenance: Mapping[str, Any]
     ) -> "RunFolder":
         """Makes the folder.
 
         Args:
             path: A new or empty folder.
-            recipe: What decides its rows.
+            config: What decides its rows.
             study_file: The study's file, as the user named it.
             file_runs: Runs in each block file, at least 1.
             provenance: Versions, machine and time, plain values.
@@ -78,15 +78,15 @@ class RunFolder:
             new.mkdir()
             for name in ("blocks", "sessions", "requests"):
                 (new / name).mkdir()
-            write_whole(new / "study.py", recipe.source)
+            write_whole(new / "study.py", config.source)
             manifest = {
                 "schema": SCHEMA,
-                "fingerprint": fingerprint(recipe.identity),
-                "identity": recipe.identity,
+                "fingerprint": fingerprint(config.identity),
+                "identity": config.identity,
                 "study_file": study_file,
                 "study_path": str(Path(study_file).resolve()),
                 "machine": machine(),
-                "files": dict(recipe.files),
+                "files": dict(config.files),
                 "file_runs": file_runs,
                 "provenance": dict(provenance),
             }
@@ -97,7 +97,7 @@ class RunFolder:
             shutil.rmtree(new, ignore_errors=True)
             if cls(path).exists:
                 made = cls.open(path)
-                made.check(recipe)
+                made.check(config)
                 return made
             message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
             raise InputError(message) from None
@@ -149,17 +149,17 @@ class RunFolder:
         path = self.path / "summary.json"
         return read_document(path, SUMMARY) if path.is_file() else None
 
-    def check(self, recipe: Recipe) -> None:
-        """Raises, with the keys that differ, unless the recipe is the folder's own.
+    def check(self, config: CampaignConfig) -> None:
+        """Raises, with the keys that differ, unless the config is the folder's own.
 
         Args:
-            recipe: What is asked for.
+            config: What is asked for.
         """
         manifest = self.manifest
-        there, now = manifest["files"], recipe.files
+        there, now = manifest["files"], config.files
         changed = [f"`{name}`" for name in {**there, **now} if there.get(name) != now.get(name)]
         hint = f" Of what the study read, {', '.join(changed)} is not what it was." if changed else ""
-        require_same(manifest["identity"], recipe.identity, str(self.path), hint)
+        require_same(manifest["identity"], config.identity, str(self.path), hint)
 
     def ask_for(self, runs: int, is_anytime: bool) -> bool:
         """Notes how many runs are asked for; from the second number on, or with a stopping rule, one has looked.
@@ -236,7 +236,7 @@ class RunFolder:
         return pq.read_schema(block_files(self.path / "blocks")[0].path)
 
     def tables(self, start: int = 0, stop: int | None = None) -> Iterator[Runs]:
-        """Rows of the runs start ... stop - 1 that there are, in order, each once; damaged files are passed over.
+        """Rows of the runs start ... stop - 1 that there are, in order, each once; damaged files are skipped.
 
         Args:
             start: First run.
@@ -253,7 +253,7 @@ class RunFolder:
                 reached = file.stop
 
     def blocks(self, most: int | None = None) -> Iterator[tuple[BlockFile, Block]]:
-        """The blocks, by their range; what is none of the campaign's is passed over, with a warning.
+        """The blocks, by their range; files that are not the campaign's are skipped with a warning.
 
         Args:
             most: Of more than so many, some that are spread evenly; None for all.
@@ -265,7 +265,7 @@ class RunFolder:
             if block is not None:
                 yield file, block
 
-    def effort(self, stop: int) -> dict[str, Any]:
+    def cost(self, stop: int) -> dict[str, Any]:
         """Escalated runs and defects of the blocks up to a run.
 
         Args:

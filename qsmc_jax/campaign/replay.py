@@ -8,8 +8,8 @@ import numpy as np
 
 from qsmc_jax.base.checks import require, require_count
 from qsmc_jax.base.errors import InputError
+from qsmc_jax.campaign.config import CampaignConfig
 from qsmc_jax.campaign.folder import RunFolder
-from qsmc_jax.campaign.recipe import Recipe
 from qsmc_jax.metrics.claims import claims_of, require_claim, verdict_column
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.outcome import Outcome
@@ -17,8 +17,8 @@ from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.trajectory import Trajectory
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.verification.escalation import agreed
-from qsmc_jax.verification.rungs import RUNGS, Rungs
 from qsmc_jax.verification.summary import worst_of
+from qsmc_jax.verification.tiers import TIERS, Tiers
 
 # By how much the peak may differ from the recorded one, in units of the relative tolerance: another program rounds
 # otherwise, and takes other steps.
@@ -45,12 +45,14 @@ class Replay:
         return f"{self.trajectory}\n{found}{'it agrees' if self.agrees else 'IT DOES NOT AGREE'}"
 
 
-def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | None, of: str | None = None) -> Replay:
+def replay(
+    folder: RunFolder, config: CampaignConfig, index: int | None, worst: int | None, of: str | None = None
+) -> Replay:
     """Solves a run again.
 
     Args:
         folder: The run folder.
-        recipe: Its recipe.
+        config: Its config.
         index: Index of the run; or else
         worst: which of the worst runs, from 1.
         of: The claim by which runs are the worst; None for the funnel, and of equals the requirements.
@@ -67,11 +69,11 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
+        >>> config = qj.campaign.CampaignConfig(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
-        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), recipe)
-        ...     _ = qj.campaign.run_campaign(folder, recipe, runs=64)
-        ...     qj.campaign.replay(folder, recipe, index=17, worst=None).agrees
+        ...     folder = qj.campaign.prepare(pathlib.Path(place, "run"), config)
+        ...     _ = qj.campaign.run_campaign(folder, config, runs=64)
+        ...     qj.campaign.replay(folder, config, index=17, worst=None).agrees
         True
     """
     require((index is None) != (worst is None), "One of `--run` and `--worst` must say which run.")
@@ -80,16 +82,16 @@ def replay(folder: RunFolder, recipe: Recipe, index: int | None, worst: int | No
         "Argument `--of` names the claim by which runs are the worst: it needs `--worst`.",
     )
     row = _row(folder, index) if index is not None else _worst(folder, worst or 0, of)
-    rungs = Rungs.of(recipe.study, recipe.settings)
+    tiers = Tiers.of(config.study, config.settings)
     if row["outcome"] == Outcome.SOLVES_DISAGREE:
-        tried = [_solved(recipe, row, rungs.settings[rung]) for rung in range(RUNGS)]
-        verdicts = [int(run.figures.verdict) for run in tried]
+        tried = [_solved(config, row, tiers.settings[tier]) for tier in range(TIERS)]
+        verdicts = [int(run.metrics.verdict) for run in tried]
         shown = verdicts.index(Verdict.VIOLATED) if Verdict.VIOLATED in verdicts else 0
         return Replay(tried[shown], row, bool(agreed([np.array([each]) for each in verdicts])[0] == Verdict.UNDECIDED))
-    run = _solved(recipe, row, rungs.settings[int(row["rung"])])
-    close = 1e-9 + _AGREEMENT * float(recipe.settings.rtol)
-    is_near = np.isclose(float(run.figures.peak_ratio), row["peak_ratio"], rtol=close, equal_nan=True)
-    return Replay(run, row, bool(is_near) and _is_decided_alike(run.figures.named(), row))
+    run = _solved(config, row, tiers.settings[int(row["tier"])])
+    close = 1e-9 + _AGREEMENT * float(config.settings.rtol)
+    is_near = np.isclose(float(run.metrics.peak_ratio), row["peak_ratio"], rtol=close, equal_nan=True)
+    return Replay(run, row, bool(is_near) and _is_decided_alike(run.metrics.named(), row))
 
 
 def _is_decided_alike(found: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
@@ -99,8 +101,8 @@ def _is_decided_alike(found: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
     return all(int(found[column]) == row[column] for column, asked in zip(columns, is_asked, strict=True) if asked)
 
 
-def _solved(recipe: Recipe, row: dict[str, Any], settings: SolverSettings) -> Trajectory:
-    return recipe.study.replay(row["index"], recipe.seed, settings=settings)
+def _solved(config: CampaignConfig, row: dict[str, Any], settings: SolverSettings) -> Trajectory:
+    return config.study.replay(row["index"], config.seed, settings=settings)
 
 
 def _row(folder: RunFolder, index: int) -> dict[str, Any]:

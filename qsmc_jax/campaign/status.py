@@ -65,9 +65,9 @@ def status_of(folder: RunFolder) -> Status:
         >>> import qsmc_jax as qj
         >>> def scenario(draw):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=5.0)
-        >>> recipe = qj.campaign.Recipe(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
+        >>> config = qj.campaign.CampaignConfig(qj.Study(scenario, bandwidth=0.1), source=b"study = ...")
         >>> with tempfile.TemporaryDirectory() as place:
-        ...     status = qj.campaign.status_of(qj.campaign.prepare(pathlib.Path(place, "run"), recipe))
+        ...     status = qj.campaign.status_of(qj.campaign.prepare(pathlib.Path(place, "run"), config))
         >>> status.solved, status.asked_for
         (0, 0)
     """

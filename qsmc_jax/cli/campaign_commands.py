@@ -11,12 +11,12 @@ from typing import Annotated, Any, Literal
 import typer
 
 from qsmc_jax.base.errors import InputError
+from qsmc_jax.cli.configs import config_again
 from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
 from qsmc_jax.cli.interrupts import finishing
 from qsmc_jax.cli.options import Block, Cache, Json, Out, Threads
 from qsmc_jax.cli.progress import progress_bar, waiting
-from qsmc_jax.cli.recipes import recipe_again
 from qsmc_jax.cli.session import session
 
 Folder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder that `qsmc verify --out` made.")]
@@ -60,18 +60,18 @@ def show_run(
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.campaign.replay import replay
         from qsmc_jax.report.folder import ResultFolder
-        from qsmc_jax.report.signals import figures_as_numbers
+        from qsmc_jax.report.signals import metrics_as_numbers
 
         folder = RunFolder.open(run)
         with waiting("solving"):
-            again = replay(folder, recipe_again(folder, study), index, worst, of)
-        numbers = {**figures_as_numbers(again.trajectory), "recorded": again.row, "agrees": again.agrees}
+            again = replay(folder, config_again(folder, study), index, worst, of)
+        numbers = {**metrics_as_numbers(again.trajectory), "recorded": again.row, "agrees": again.agrees}
         say_json(numbers) if as_json else say(str(again))
         if out:
             with ResultFolder(out) as result:
                 result.add_json("run.json", numbers)
                 result.add_table("signals.parquet", again.trajectory.columns())
-                result.add_figure("run.png", again.trajectory.plot)
+                result.add_picture("run.png", again.trajectory.plot)
                 result.commit()
             if not as_json:
                 say(f"Written to {out}.")
@@ -97,7 +97,7 @@ def export_rows(
 ) -> None:
     """Write the rows of a campaign to one file that other tools read."""
     with session(cache=False):
-        from qsmc_jax.campaign.atomic import temporary_beside
+        from qsmc_jax.base.atomic import temporary_beside
         from qsmc_jax.campaign.folder import RunFolder
         from qsmc_jax.report.export import write_csv, write_netcdf
 
@@ -131,11 +131,11 @@ def work(
 
         folder = RunFolder.open(run)
         number, count = _shard(shard)
-        recipe = recipe_again(folder, study, block=block, threads=threads)
-        origin = provenance(study or Path(folder.manifest["study_path"]), recipe.source, sys.argv)
+        config = config_again(folder, study, block=block, threads=threads)
+        origin = provenance(study or Path(folder.manifest["study_path"]), config.source, sys.argv)
         with progress_bar(f"shard {shard}") as progress, finishing() as should_stop:
             options: dict[str, Any] = {"progress": progress, "should_stop": should_stop, "provenance": origin}
-            is_done = work_shard(folder, recipe, number, count, **options)
+            is_done = work_shard(folder, config, number, count, **options)
         finish = "All shards done? `qsmc verify` with this folder as `--out` sums up."
         said = f"Shard {shard} of {run} is {'done' if is_done else 'interrupted'}. {finish}"
         say_json({"run": str(run), "shard": shard, "is_done": is_done}) if as_json else say(said)

@@ -1,7 +1,7 @@
 """Ctrl-C and its like: the first time work ends in order, the second time at once, whatever is under way.
 
 `SIGTERM` and `SIGHUP` count as Ctrl-C. Python runs a handler between two of its own instructions only, and a long block
-or a compilation is one; so a thread listens besides, and ends the process where nothing else does.
+or a compilation is one; so a thread listens too, and ends the process where nothing else does.
 """
 
 import contextlib
@@ -33,14 +33,14 @@ class Interruption(Exception):
 
 @contextlib.contextmanager
 def finishing() -> Iterator[Callable[[], bool]]:
-    """Yields a function that says whether to stop after the block in hand; for work that is kept."""
+    """Yields a function that says whether to stop after the current block; for work that is kept."""
     told = threading.Event()
 
     def tell(number: int, frame: Any) -> None:
         if told.is_set():
             raise KeyboardInterrupt
         told.set()
-        say("qsmc: finishing the block in hand; once more to stop at once.", is_error=True)
+        say("qsmc: finishing the current block; once more to stop at once.", is_error=True)
 
     with _handled_by(tell):
         yield told.is_set

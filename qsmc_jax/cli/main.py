@@ -80,7 +80,7 @@ def simulate(
         from qsmc_jax import SolverSettings
         from qsmc_jax.metrics.claims import STATEMENTS, gravest
         from qsmc_jax.report.folder import ResultFolder
-        from qsmc_jax.report.signals import figures_as_numbers
+        from qsmc_jax.report.signals import metrics_as_numbers
 
         with ResultFolder(out) if out else contextlib.nullcontext() as folder:
             study = load_study(Source.read(study_file), overrides or [])
@@ -89,14 +89,15 @@ def simulate(
                 run = (
                     study.simulate(settings=settings) if index is None else study.replay(index, seed, settings=settings)
                 )
-            numbers = figures_as_numbers(run)
+            numbers = metrics_as_numbers(run)
             say_json(numbers) if as_json else say(str(run))
             if folder:
                 folder.add_json("run.json", numbers)
                 folder.add_table("signals.parquet", run.columns())
-                folder.add_figure("run.png", run.plot)
+                folder.add_result(run)
+                folder.add_picture("run.png", run.plot)
                 if run.loop.order == 2:
-                    folder.add_figure("phase_plane.png", run.plot_phase_plane)
+                    folder.add_picture("phase_plane.png", run.plot_phase_plane)
                 folder.commit()
                 if not as_json:
                     say(f"Written to {out}.")
@@ -122,8 +123,8 @@ def paper(out: Out = None, as_json: Json = False, cache: Cache = True) -> None:
             if folder:
                 for number, each in runs.items():
                     labels = tuple(f"$x_i(0)$ = {run.x[0, 0]:g}" for run in each)
-                    folder.add_figure(f"example{number}.png", partial(plot_trajectory, *each, labels=labels))
-                folder.add_figure("figure1_phase_plane.png", runs[1][0].plot_phase_plane)
+                    folder.add_picture(f"example{number}.png", partial(plot_trajectory, *each, labels=labels))
+                folder.add_picture("figure1_phase_plane.png", runs[1][0].plot_phase_plane)
                 folder.add_json("paper.json", content)
                 folder.commit()
                 if not as_json:

@@ -60,9 +60,9 @@ def examine(as_json: Json = False, cache: Cache = True) -> None:
         import jax
 
         import qsmc_jax as qj
-        from qsmc_jax.base.platforms import platform as chosen_platform
-        from qsmc_jax.base.self_test import wrong_functions
-        from qsmc_jax.base.vectorise import why_not_vectorised
+        from qsmc_jax.tracing.platforms import platform as chosen_platform
+        from qsmc_jax.tracing.self_test import wrong_functions
+        from qsmc_jax.tracing.vectorise import why_not_vectorised
 
         if cache:
             keep_compiled_programs()

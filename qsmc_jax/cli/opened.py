@@ -1,4 +1,4 @@
-"""What a study reads besides its own file: data, and modules that it imports."""
+"""What a study reads apart from its own file: data, and modules that it imports."""
 
 import contextlib
 import functools as ft

@@ -73,9 +73,9 @@ def map_robustness(
     Exit codes: 0 done, 2 bad input, 3 interrupted.
     """
     with session(cache):
+        from qsmc_jax.robustness.limits import limits
+        from qsmc_jax.robustness.map import robustness_map
         from qsmc_jax.simulation.settings import SolverSettings
-        from qsmc_jax.verification.limits import limits
-        from qsmc_jax.verification.robustness import robustness_map
 
         if dimensionless and not out:
             raise InputError("Argument `--dimensionless` is about the picture: it needs `--out`.")
@@ -122,8 +122,8 @@ def find_critical(
     Exit codes: 0 found, 2 bad input, 3 nothing could be shown, or interrupted.
     """
     with session(cache):
+        from qsmc_jax.robustness.critical import critical_value
         from qsmc_jax.simulation.settings import SolverSettings
-        from qsmc_jax.verification.critical import critical_value
 
         source, ends = Source.read(study_file), parse_interval(between)
         study = load_study(source, overrides or [])
@@ -146,7 +146,7 @@ def compare_studies(
     runs: Annotated[int, typer.Option(help="Runs of each study, on the same random numbers.")] = 1000,
     seed: Seed = 0,
     confidence: Together = 0.95,
-    metric: Annotated[list[str] | None, typer.Option(help="Figure to compare; repeatable. Default the usual.")] = None,
+    metric: Annotated[list[str] | None, typer.Option(help="Metric to compare; repeatable. Default the usual.")] = None,
     overrides: Overrides = None,
     out: Out = None,
     as_json: Json = False,
@@ -163,13 +163,13 @@ def compare_studies(
     Exit codes: 0 done, 2 bad input, 3 interrupted.
     """
     with session(cache):
-        from qsmc_jax.campaign.contrast import contrast
+        from qsmc_jax.campaign.difference import difference
         from qsmc_jax.campaign.folder import RunFolder
+        from qsmc_jax.robustness.comparison import compare
         from qsmc_jax.simulation.settings import SolverSettings
-        from qsmc_jax.verification.comparison import compare
 
         if other is not None:
-            found = contrast(RunFolder.open(studies_file), RunFolder.open(other))
+            found = difference(RunFolder.open(studies_file), RunFolder.open(other))
             say_json(found.summary()) if as_json else say(str(found))
             return
         source = Source.read(studies_file)
@@ -203,8 +203,9 @@ def _deliver(
         if folder:
             folder.add_json(f"{stem}.json", content)
             folder.add_table(f"{stem}.parquet", result.table())
+            folder.add_result(result)
             with waiting("drawing"):
-                folder.add_figure(f"{stem}.png", partial(draw, result))
+                folder.add_picture(f"{stem}.png", partial(draw, result))
             folder.commit()
             if not as_json:
                 say(f"Written to {out}.")

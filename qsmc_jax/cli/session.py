@@ -30,6 +30,6 @@ def session(cache: bool) -> Iterator[None]:
 
 def _say_if_slow() -> None:
     """Says once, after a command that solved something, that solves are slow with this version of JAX, if they are."""
-    solver = sys.modules.get("qsmc_jax.base.vectorise")
+    solver = sys.modules.get("qsmc_jax.tracing.vectorise")
     if solver is not None and solver.why_not_vectorised():
         warn(solver.why_not_vectorised())

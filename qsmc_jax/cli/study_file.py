@@ -21,7 +21,7 @@ class Source:
     Attributes:
         path: The file, as the user named it.
         content: Its bytes.
-        files: Hashes of what it reads besides, by name; known once it was run.
+        files: Hashes of the other files it reads, by name; known once it was run.
     """
 
     path: Path

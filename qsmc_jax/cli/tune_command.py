@@ -112,13 +112,13 @@ class _Told:
         if made.is_feasible:
             self._best = min(self._best, made.objective)
         gains = ", ".join(f"{name} {value:.4g}" for name, value in made.gains.items())
-        lack = 100.0 * max(made.lacks, default=0.0)
-        reason = f"a constraint passed by {lack:.2g} %" if lack > 0.0 else "figures not known"
+        lack = 100.0 * max(made.violations, default=0.0)
+        reason = f"a constraint violated by {lack:.2g} %" if lack > 0.0 else "metrics not known"
         if made.lost > 0.0:
             reason = f"{100.0 * made.lost:.3g} % of the runs left the funnel or are undecided"
         kept = "" if made.is_feasible else f", {reason}"
         self._tell(
-            f"evaluation {self._count}, {made.spent} simulations, {gains}: {made.objective:.5g}{kept} "
+            f"evaluation {self._count}, {made.n_simulations} simulations, {gains}: {made.objective:.5g}{kept} "
             f"(best {self._best:.5g})"
         )
 
@@ -135,7 +135,8 @@ def _write(folder: Any, result: "Tuning", content: Any, drawn: dict[str, Any]) -
     """Numbers, table and pictures, all or nothing."""
     folder.add_json("tuning.json", content)
     folder.add_table("tuning.parquet", result.table())
-    _draw(folder.add_figure, result, drawn)
+    folder.add_result(result)
+    _draw(folder.add_picture, result, drawn)
     folder.commit()
 
 
@@ -163,6 +164,6 @@ def _draw(add: Callable[[str, Callable[[], Any]], None], result: "Tuning", drawn
             mark={"before": result.before.gains, "tuned": result.gains},
             **drawn,
         )
-        add("landscape.png", partial(made.plot, result))
+        add("landscape.png", partial(made.plot, tuned=result))
         if drawn["against"] is not None:
             add("pareto.png", made.plot_pareto)

@@ -1,4 +1,4 @@
-"""How much the program tells besides results: `--quiet` errors only, `--verbose` all that the package logs."""
+"""How much the program prints apart from results: `--quiet` errors only, `--verbose` all that the package logs."""
 
 import contextlib
 import logging

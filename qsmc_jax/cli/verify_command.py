@@ -1,4 +1,4 @@
-"""The command `qsmc verify`: at once, or as a campaign in a run folder that can be gone on with."""
+"""The command `qsmc verify`: at once, or as a campaign in a run folder that can be resumed."""
 
 import contextlib
 import dataclasses
@@ -12,17 +12,17 @@ import typer
 
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.blame import told
+from qsmc_jax.cli.configs import config_of
 from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, code_of
 from qsmc_jax.cli.interrupts import Interruption, finishing
 from qsmc_jax.cli.options import Atol, Block, Cache, Json, MaxSteps, Method, Overrides, Rtol, Seed, StudyFile, Threads
 from qsmc_jax.cli.progress import progress_bar, waiting
-from qsmc_jax.cli.recipes import recipe_of
 from qsmc_jax.cli.session import session
 
 if TYPE_CHECKING:
+    from qsmc_jax.campaign.config import CampaignConfig
     from qsmc_jax.campaign.folder import RunFolder
-    from qsmc_jax.campaign.recipe import Recipe
     from qsmc_jax.verification.result import Verification
     from qsmc_jax.verification.stopping import AbstractRule
 
@@ -36,7 +36,7 @@ def verify_study(
     seed: Seed = 0,
     confidence: Annotated[float, typer.Option(help="Confidence of each interval.")] = 0.95,
     overrides: Overrides = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder; one of the same study is gone on with.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; one of the same study is resumed.")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Begin in a new folder beside an existing one.")] = False,
     prepare: Annotated[bool, typer.Option("--prepare", help="Make the run folder for `qsmc worker`, no more.")] = False,
     until_below: Annotated[float | None, typer.Option(metavar="P", help="Stop once P(violation) <= P or > P.")] = None,
@@ -63,23 +63,23 @@ def verify_study(
         from qsmc_jax import SolverSettings
         from qsmc_jax.campaign.campaign import prepare as prepare_folder
         from qsmc_jax.report.provenance import provenance
-        from qsmc_jax.verification.evidence import check_request
+        from qsmc_jax.verification.accumulate import check_request
 
         settings = SolverSettings(rtol, atol, max_steps, method)
         rule = _rule(until_below, until_width, sprt)
         check_request(runs, confidence, worst, rule)
-        recipe = recipe_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
+        config = config_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
         if out is None and (fresh or prepare or scheduler or workers):
             raise InputError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
-        origin = provenance(study_file, recipe.source, sys.argv)
+        origin = provenance(study_file, config.source, sys.argv)
         fixed = [word for override in overrides or [] for word in ("-S", override)]
         if out is None:
             again = ["qsmc", "simulate", str(study_file), "--seed", str(seed), *fixed, "--index"]
-            result = _at_once(recipe, runs, confidence, worst, rule, as_json)
+            result = _at_once(config, runs, confidence, worst, rule, as_json)
             _tell(result, study_file, again, None, origin, as_json)
         else:
             place, about = _beside(out) if fresh else out, {"file_runs": file_runs, "provenance": origin}
-            folder = prepare_folder(place, recipe, study_file=str(study_file), **about)
+            folder = prepare_folder(place, config, study_file=str(study_file), **about)
             again = ["qsmc", "show", str(folder.path), "--run"]
             if prepare:
                 folder.ask_for(runs, rule is not None)
@@ -87,7 +87,7 @@ def verify_study(
                 say_json({"prepared": str(folder.path), "runs": runs}) if as_json else say(said)
                 raise typer.Exit(HELD)
             with _engine(scheduler, workers) as engine:
-                campaign = _Campaign(folder, recipe, origin, runs, confidence, worst, rule, engine)
+                campaign = _Campaign(folder, config, origin, runs, confidence, worst, rule, engine)
                 result = campaign.run(as_json)
             _tell(result, study_file, again, folder.path, origin, as_json)
             _write_report(folder, result, as_json)
@@ -99,7 +99,7 @@ class _Campaign:
     """What `run_campaign` is asked for."""
 
     folder: "RunFolder"
-    recipe: "Recipe"
+    config: "CampaignConfig"
     origin: dict[str, Any]
     runs: int
     confidence: float
@@ -115,7 +115,7 @@ class _Campaign:
         with progress_bar("solving") as progress, finishing() as should_stop:
             result = run_campaign(
                 self.folder,
-                self.recipe,
+                self.config,
                 self.runs,
                 self.confidence,
                 worst=self.worst,
@@ -149,13 +149,13 @@ def _write_report(folder: "RunFolder", result: "Verification", as_json: bool) ->
 
 
 def _at_once(
-    recipe: "Recipe", runs: int, confidence: float, worst: int, rule: "AbstractRule | None", as_json: bool
+    config: "CampaignConfig", runs: int, confidence: float, worst: int, rule: "AbstractRule | None", as_json: bool
 ) -> "Verification":
     from qsmc_jax import verify
 
-    options = {"settings": recipe.settings, "block": recipe.block, "threads": recipe.threads, "until": rule}
+    options = {"settings": config.settings, "block": config.block, "threads": config.threads, "until": rule}
     with progress_bar("solving") as progress:
-        return verify(recipe.study, runs, recipe.seed, confidence, worst=worst, progress=progress, **options)
+        return verify(config.study, runs, config.seed, confidence, worst=worst, progress=progress, **options)
 
 
 def _rule(below: float | None, width: float | None, sprt: str | None) -> "AbstractRule | None":

@@ -66,7 +66,7 @@ class AbstractControl(AbstractModule):
         is_smooth: Whether the law has a derivative; one that switches by a sign has none that tuning could use.
     """
 
-    remedy: ClassVar[str] = "Use `qj.QuasiSlidingControl(surface, funnel)` or one of `qj.controllers`."
+    hint: ClassVar[str] = "Use `qj.QuasiSlidingControl(surface, funnel)` or one of `qj.controllers`."
 
     surface: eqx.AbstractVar[SlidingSurface]
     funnel: eqx.AbstractVar[Funnel]

@@ -24,10 +24,10 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from qsmc_jax.base.checks import is_traced
-from qsmc_jax.base.hermite import Cubic
-from qsmc_jax.base.hurwitz import is_hurwitz
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.numerics.hermite import Cubic
+from qsmc_jax.numerics.hurwitz import is_hurwitz
 
 _TRACED_POINTS = 128
 _POINTS = 1024

@@ -6,12 +6,12 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.gudermann import tan_half_pi
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.funnel import Funnel
 from qsmc_jax.control.surface import SlidingSurface
+from qsmc_jax.numerics.gudermann import tan_half_pi
 
 
 class QuasiSlidingControl(AbstractControl):

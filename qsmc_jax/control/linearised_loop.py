@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.polynomial import Polynomial
 from scipy import optimize
 
-from qsmc_jax.base.hurwitz import is_hurwitz
+from qsmc_jax.numerics.hurwitz import is_hurwitz
 
 _TINY = 1e-300  # absolute tolerance of root finding: none, the relative one decides
 

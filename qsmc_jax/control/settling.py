@@ -20,12 +20,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import is_traced
-from qsmc_jax.base.hurwitz import is_hurwitz
 from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.error_bounds import companion, damping_ratio, pole_bound, short_exponential, variations
 from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.numerics.hurwitz import is_hurwitz
 
 _NEWTON_STEPS = 8
 _LATER = 1e-6  # of the time beyond t_r: so that what rounding and Newton leave is on the late side

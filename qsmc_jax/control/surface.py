@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float
 
 from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive
-from qsmc_jax.base.hurwitz import is_hurwitz
 from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.control.error_bounds import error_envelope, peak_gains, poles
 from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.numerics.hurwitz import is_hurwitz
 
 _BINOMIAL_RTOL = 1e-9
 

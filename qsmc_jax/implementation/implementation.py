@@ -22,8 +22,8 @@ from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
 from qsmc_jax.control.control import Beyond
 from qsmc_jax.implementation.actuators import AbstractActuator
-from qsmc_jax.implementation.keyed import Consumer, uniforms
 from qsmc_jax.implementation.noises import AbstractNoise
+from qsmc_jax.implementation.rng import Consumer, uniforms
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.disturbances.disturbance import require_disturbances
 from qsmc_jax.model.kinks import as_times

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require_nonnegative
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
 from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
-from qsmc_jax.implementation.keyed import Consumer, normals, uniforms
+from qsmc_jax.implementation.rng import Consumer, normals, uniforms
 from qsmc_jax.model.disturbances import AbstractDisturbance, random_sines
 from qsmc_jax.model.disturbances.disturbance import require_disturbances
 

@@ -12,14 +12,14 @@ import numpy as np
 from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.names import require_name
-from qsmc_jax.base.programs import Program
-from qsmc_jax.base.traceable import require_number, trace
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.claims import require_no_claim
 from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, AbstractMetric, Extent
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.metrics.view import View
+from qsmc_jax.tracing.programs import Program
+from qsmc_jax.tracing.traceable import require_number, trace
 
 
 class _Straight(AbstractStep):

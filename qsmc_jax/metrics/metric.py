@@ -15,13 +15,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from qsmc_jax.base import trees
 from qsmc_jax.base.checks import is_hashable, require
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.record import Record, Worse
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.metrics.summit import Summit, summit
 from qsmc_jax.metrics.view import View
+from qsmc_jax.numerics import pytrees
 
 
 class Extent(NamedTuple):
@@ -123,7 +123,7 @@ class AbstractKept(abc.ABC):
 
     def add_if_inside(self, state: Any, view: View) -> Any:
         """What is kept after one more step, in which the window neither begins nor ends."""
-        return trees.where(self.is_inside(view.step), self.add(state, view), state)
+        return pytrees.where(self.is_inside(view.step), self.add(state, view), state)
 
     def is_inside(self, step: AbstractStep) -> Bool[Array, ""]:
         """Whether a step is in the window."""

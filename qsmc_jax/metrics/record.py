@@ -1,4 +1,4 @@
-"""What is known of a metric besides its value: declared once, where the metric is, and read everywhere else."""
+"""The record of a metric: declared once, where the metric is, and read everywhere else."""
 
 import dataclasses
 import inspect

@@ -63,7 +63,7 @@ class AbstractStep(AbstractModule):
 
     @abc.abstractmethod
     def once(self, tree: Any) -> Any:
-        """The same numbers, which the compiler works out once however many use them; see `Fence`."""
+        """The same numbers, which the compiler works out once however many use them; see `Barrier`."""
 
     @abc.abstractmethod
     def at(self, theta: RealScalarLike) -> Signals:

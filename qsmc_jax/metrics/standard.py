@@ -12,10 +12,10 @@ from qsmc_jax.metrics.record import Record, explained, metric, records_of, witho
 
 
 @explained
-class SampledFigures(AbstractModule):
-    """What is known of a loop with an implementation besides; the steady phase is from t_r to the horizon.
+class SampledMetrics(AbstractModule):
+    """Additional metrics of a loop with an implementation; the steady phase is from t_r to the horizon.
 
-    At default settings the figures of such a loop, these and those of `Figures`, are good to 1e-4 relative to their
+    At default settings the metrics of such a loop, these and those of `Metrics`, are good to 1e-4 relative to their
     size (`peak_excess`: to the funnel's; `excess_variation_u`: to that of `total_variation_u`), and with `tight()` to a
     tenth of that; `high_frequency_ratio` to 1e-3 of all power, `reversal_rate` to one reversal, and `settle_time` is
     late by up to a period.
@@ -79,8 +79,8 @@ class SampledFigures(AbstractModule):
 
 
 @explained
-class Figures(AbstractModule):
-    """The figures of one run, each a scalar (`peak_errors`: n scalars). What is not known is NaN, never a guess.
+class Metrics(AbstractModule):
+    """The metrics of one run, each a scalar (`peak_errors`: n scalars). What is not known is NaN, never a guess.
 
     At default settings, relative to their size, `total_variation_u`, `peak_errors` and `peak_u_bound` of an ideal loop
     are good to 1e-4, `margin`, `peak_ratio`, `energy_u`, `peak_u` and `rms_error` to 1e-5. At `reach_time` |sigma| is
@@ -90,13 +90,13 @@ class Figures(AbstractModule):
     what was met there; the others are exact.
 
     Attributes:
-        sampled: What is known of a loop with an implementation besides; None for the ideal loop.
+        sampled: Additional metrics of a loop with an implementation; None for the ideal loop.
         own: The metrics and requirements of the study, by their columns.
 
     Examples:
         >>> import qsmc_jax as qj
-        >>> figures = qj.simulate(qj.paper.example1(), [0.9, 0.9], t1=2.0, bandwidth=0.1).figures
-        >>> round(float(figures.peak_ratio), 3), round(float(figures.columns()["rms_error"]), 3)
+        >>> metrics = qj.simulate(qj.paper.example1(), [0.9, 0.9], t1=2.0, bandwidth=0.1).metrics
+        >>> round(float(metrics.peak_ratio), 3), round(float(metrics.columns()["rms_error"]), 3)
         (0.632, 0.46)
     """
 
@@ -192,24 +192,24 @@ class Figures(AbstractModule):
         meaning="Largest |d| met at the end of a step", label=r"largest $|d|$", worse="high"
     )
     steps: Int[Array, ""] = metric(meaning="Steps taken, kept or not", label="steps")
-    sampled: SampledFigures | None = None
+    sampled: SampledMetrics | None = None
     own: dict[str, Array] = eqx.field(default_factory=dict)
 
     def named(self) -> dict[str, Any]:
-        """Every figure by its name, those of `sampled` and of the study among them."""
+        """Every metric by its name, those of `sampled` and of the study among them."""
         named = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         sampled, own = named.pop("sampled"), named.pop("own")
         return {**named, **({} if sampled is None else vars(sampled)), **own}
 
     def columns(self) -> dict[str, Any]:
-        """Every figure by the name of its column: `peak_error[i]` is that of the i-th derivative of the error."""
+        """Every metric by the name of its column: `peak_error[i]` is that of the i-th derivative of the error."""
         named = self.named()
         peaks = named.pop("peak_errors")
         return {**named, **{f"peak_error[{i}]": peak for i, peak in enumerate(peaks)}}
 
 
-# Names by which figures are told where they are no columns.
-FIELDS = tuple(field.name for field in dataclasses.fields(Figures))
+# Names by which metrics are told where they are no columns.
+FIELDS = tuple(field.name for field in dataclasses.fields(Metrics))
 
 
 @ft.lru_cache
@@ -221,7 +221,7 @@ def catalogue() -> dict[str, Record]:
         >>> qj.metrics.catalogue()["reach_time"].unit
         's'
     """
-    records = (*records_of(Figures).values(), *records_of(SampledFigures).values())
+    records = (*records_of(Metrics).values(), *records_of(SampledMetrics).values())
     return {record.name: record for record in records}
 
 

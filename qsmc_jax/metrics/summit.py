@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from qsmc_jax.base import trees
-from qsmc_jax.base.hermite import Cubic
-from qsmc_jax.base.lockstep import any_lane
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.signals import Signals
 from qsmc_jax.metrics.view import NODES, View
+from qsmc_jax.numerics import pytrees
+from qsmc_jax.numerics.hermite import Cubic
+from qsmc_jax.numerics.lockstep import any_lane
 
 # How often a stretch is narrowed from both sides before the cubic is asked.
 _ROUNDS = 2
@@ -135,7 +135,7 @@ def _reach(left: Points, right: Points) -> Float[Array, "..."]:
 def _narrowed(left: Points, right: Points, point: Points) -> tuple[Points, Points]:
     """The part of a stretch in which the function still turns from rising to falling."""
     is_rising = point.slope > 0.0
-    return trees.where(is_rising, point, left), trees.where(is_rising, right, point)
+    return pytrees.where(is_rising, point, left), pytrees.where(is_rising, right, point)
 
 
 class _Meeting(NamedTuple):

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from qsmc_jax.base import trees
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.metric import AbstractOfSignals
 from qsmc_jax.metrics.record import Worse
 from qsmc_jax.metrics.signals import AbstractStep
 from qsmc_jax.metrics.view import NODES, View
+from qsmc_jax.numerics import pytrees
 
 # A step is halved so often: to 1e-12 of its length.
 _BISECTIONS = 40
@@ -45,7 +45,7 @@ class AbstractTime(AbstractOfSignals):
     """When a condition changes: it holds where the function is true, or positive.
 
     To 1e-9 of a step. A function that returns true or false is looked at at five instants of a step. Of one that
-    returns a number, positive where it is so, the peak in each step counts besides, and the time has a derivative.
+    returns a number, positive where it is so, the peak in each step counts too, and the time has a derivative.
     """
 
     may_jump: ClassVar[bool] = True
@@ -108,7 +108,7 @@ class LastTime(AbstractTime):
         places, is_on, is_known = self.places(view)
         is_known = state.is_known & is_known
         new = _Change(view.step.data, *_last(places, is_on), jnp.array(True), is_on[-1], is_known)
-        return trees.where(is_on.any(), new, state._replace(is_on=jnp.array(False), is_known=is_known))
+        return pytrees.where(is_on.any(), new, state._replace(is_on=jnp.array(False), is_known=is_known))
 
     def told(self, state: _Change, time: RealScalarLike) -> RealScalarLike:
         return jnp.where(state.is_on, jnp.inf, jnp.where(state.is_found, time, self.after))
@@ -130,7 +130,7 @@ class FirstTime(AbstractTime):
         places, is_on, is_known = self.places(view)
         is_known = state.is_known & (state.is_found | is_known)
         new = _Change(view.step.data, *_last(places[::-1], is_on[::-1]), jnp.array(True), is_on[-1], is_known)
-        return trees.where(is_on.any() & ~state.is_found, new, state._replace(is_known=is_known))
+        return pytrees.where(is_on.any() & ~state.is_found, new, state._replace(is_known=is_known))
 
     def told(self, state: _Change, time: RealScalarLike) -> RealScalarLike:
         return jnp.where(state.is_found, time, jnp.inf)

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from qsmc_jax.base.programs import Equation, branches, called, computed, evaluated
 from qsmc_jax.model.kinks import EQUALITIES, is_real
+from qsmc_jax.tracing.programs import Equation, branches, called, computed, evaluated
 
 # At each call, so that a function is compiled once for however many points it is asked.
 BATCH = 512

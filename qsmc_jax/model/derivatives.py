@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax.experimental.jet import jet
 from jaxtyping import Array
 
-from qsmc_jax.base.programs import Program, UnknownProgramError
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.model.kinks import uses
+from qsmc_jax.tracing.programs import Program, UnknownProgramError
 
 # Operations whose rule in jet is exact wherever the function is smooth. Left out on purpose: `pow` and `sqrt`, which go
 # through a logarithm and are NaN at 0; `expm1`, `log1p`, `asinh`, `erfc`, which lose digits; and functions with a

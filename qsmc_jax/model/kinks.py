@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from qsmc_jax.base.programs import (
+from qsmc_jax.tracing.programs import (
     CALLS,
     OPAQUE,
     Equation,

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
-from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike, State
 from qsmc_jax.model.kinks import as_times
+from qsmc_jax.tracing.traceable import once_per_structure, require_number, trace
 
 
 class AbstractPlant(AbstractModule):
@@ -38,7 +38,7 @@ class AbstractPlant(AbstractModule):
     Source: paper, eq. (1); the paper has f(x) and g(x), time is added for drifting parameters.
     """
 
-    remedy: ClassVar[str] = "Derive from `qj.AbstractPlant`, or use one of `qj.plants`."
+    hint: ClassVar[str] = "Derive from `qj.AbstractPlant`, or use one of `qj.plants`."
 
     order: eqx.AbstractClassVar[int]
 

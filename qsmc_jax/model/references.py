@@ -34,7 +34,7 @@ class AbstractReference(AbstractModule):
     Source: paper, below eq. (1), where $x_{des}$ is smooth; its bounds matter to the proof, not here.
     """
 
-    remedy: ClassVar[str] = "A smooth function f(t) becomes one by `qj.references.Smooth(f)`."
+    hint: ClassVar[str] = "A smooth function f(t) becomes one by `qj.references.Smooth(f)`."
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:

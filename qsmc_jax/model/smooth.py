@@ -25,11 +25,11 @@ import numpy as np
 from qsmc_jax.base.checks import is_traced, require, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.programs import Program, UnknownProgramError, parts, shape_of
-from qsmc_jax.base.traceable import traceable
 from qsmc_jax.model.crossings import UNDERSTOOD, in_batches, jumps, switches, with_decisions
 from qsmc_jax.model.derivatives import scalar, tower
 from qsmc_jax.model.kinks import kinks, uses
+from qsmc_jax.tracing.programs import Program, UnknownProgramError, parts, shape_of
+from qsmc_jax.tracing.traceable import traceable
 
 _HIGHEST = 3  # derivative that is compared: the errors of a plant of order 4 have three
 _MOST = 512  # switches looked at

@@ -10,9 +10,9 @@ import numpy as np
 from qsmc_jax.base.checks import is_traced, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.traceable import once_per_structure, trace
 from qsmc_jax.model.crossings import in_batches, jumps, switches, with_decisions
 from qsmc_jax.model.kinks import may_jump
+from qsmc_jax.tracing.traceable import once_per_structure, trace
 
 _BASES = 24  # states through which the axes are followed
 _MOST = 2048  # switches looked at along an axis

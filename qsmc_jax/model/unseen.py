@@ -1,7 +1,7 @@
 r"""What the functions of a loop can hide within a step, by kind: closed forms for the library's own.
 
-The others are enclosed (`numerics/unseen.py`), whatever they are made of. A library signal that jumps or kinks says so
-in its `break_times`, at which steps end; between these it is smooth, and bounds of its derivatives do.
+The others are enclosed (`enclosures/unseen.py`), whatever they are made of. A library signal that jumps or kinks says
+so in its `break_times`, at which steps end; between these it is smooth, and bounds of its derivatives do.
 """
 
 import functools as ft
@@ -10,6 +10,7 @@ import math
 import jax.numpy as jnp
 
 from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.enclosures.unseen import Step, Unseen, unseen
 from qsmc_jax.model import references
 from qsmc_jax.model.disturbances import (
     AbstractDisturbance,
@@ -26,7 +27,6 @@ from qsmc_jax.model.disturbances import (
 )
 from qsmc_jax.model.plants import AbstractPlant, FourthOrderExample, InvertedPendulum
 from qsmc_jax.model.references import AbstractReference
-from qsmc_jax.numerics.unseen import Step, Unseen, unseen
 
 # Largest values of the first derivatives of the quintic smoothstep, by order.
 _STEEPEST_RAMP = {1: 1.875, 2: 5.7735, 3: 60.0, 4: 360.0, 5: 720.0}

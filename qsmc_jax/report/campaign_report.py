@@ -8,16 +8,16 @@ from typing import Any
 
 import jinja2
 
+from qsmc_jax.base.atomic import write_whole
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.json_numbers import restored, to_json
-from qsmc_jax.base.plotting import as_png
-from qsmc_jax.campaign.atomic import write_whole
 from qsmc_jax.campaign.commands import verify_command
+from qsmc_jax.campaign.config import settings_in
 from qsmc_jax.campaign.folder import RunFolder
-from qsmc_jax.campaign.recipe import settings_in
+from qsmc_jax.display.plotting import as_png
 from qsmc_jax.metrics.claims import STATEMENTS, told_of_breaches
 from qsmc_jax.metrics.verdict import Verdict
-from qsmc_jax.report.drivers import Drivers
+from qsmc_jax.report.sensitivity import Sensitivity
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.verification.result import Verification
@@ -25,7 +25,7 @@ from qsmc_jax.verification.result import Verification
 _PICTURES = {
     "verification.png": "The funnel with bands of the first runs and the worst one; how much room the runs leave; when "
     "they come to the bandwidth for good.",
-    "drivers.png": "Which drawn numbers go with a small margin: Spearman's rank correlation, and the strongest three.",
+    "sensitivity.png": "Sensitivity of the margin to drawn numbers: Spearman's rank correlation, and the strongest.",
 }
 
 
@@ -62,14 +62,14 @@ def write_page(folder: RunFolder) -> None:
     summary = folder.summary()
     require(summary is not None, f"Folder `{folder.path}` has no summary yet: give the command of its runs again.")
     summary = restored(summary)
-    drivers = Drivers.of(folder.tables(0, int(summary["runs"])))
-    if drivers.names:
+    sensitivity = Sensitivity.of(folder.tables(0, int(summary["runs"])))
+    if sensitivity.names:
         (folder.path / "figures").mkdir(exist_ok=True)
-        _draw(folder, "drivers.png", drivers.plot)
-    write_whole(folder.path / "report.html", page(folder, summary, drivers).encode())
+        _draw(folder, "sensitivity.png", sensitivity.plot)
+    write_whole(folder.path / "report.html", page(folder, summary, sensitivity).encode())
 
 
-def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str:
+def page(folder: RunFolder, summary: Mapping[str, Any], sensitivity: Sensitivity) -> str:
     """The page: self-contained, with its pictures in it."""
     manifest, place = folder.manifest, str(folder.path)
     environment = jinja2.Environment(
@@ -87,7 +87,7 @@ def page(folder: RunFolder, summary: Mapping[str, Any], drivers: Drivers) -> str
         worst=[{**row, "finding": _finding(row)} for row in summary["worst"]],
         show=f"qsmc show {shlex.quote(place)} --run",
         pictures=[(_inline(folder, name), text) for name, text in _PICTURES.items() if _is_there(folder, name)],
-        drivers=drivers,
+        sensitivity=sensitivity,
         manifest=manifest,
         sessions=folder.sessions(),
         zip=zip,

@@ -10,11 +10,12 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from qsmc_jax.base.atomic import remove_leftovers, temporary_beside
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.json_numbers import to_json
-from qsmc_jax.base.plotting import as_png
-from qsmc_jax.campaign.atomic import remove_leftovers, temporary_beside
+from qsmc_jax.display.plotting import as_png
+from qsmc_jax.report.saved import RESULT, as_bytes
 
 
 class ResultFolder:
@@ -58,7 +59,14 @@ class ResultFolder:
         """Writes a JSON file; for numbers that JSON does not know see `to_json`."""
         (self._temporary / name).write_text(to_json(content) + "\n", encoding="utf-8")
 
-    def add_figure(self, name: str, draw: Callable[[], Any]) -> None:
+    def add_result(self, result: Any) -> None:
+        """Writes the result for `qj.load`; one that can't be kept is a warning: its numbers are there."""
+        try:
+            (self._temporary / RESULT).write_bytes(as_bytes(result))
+        except InputError as error:
+            warnings.warn(f"`{RESULT}` is left out: {error}", stacklevel=2)
+
+    def add_picture(self, name: str, draw: Callable[[], Any]) -> None:
         """Writes the picture that a call draws, as PNG; one that can't be drawn is a warning: the numbers are there."""
         try:
             (self._temporary / name).write_bytes(as_png(draw, dpi=150))

@@ -58,13 +58,13 @@ def rows(number: int, runs: list[Trajectory]) -> list[Row]:
 
 def _funnel(number: int, run: Trajectory) -> Row:
     claim = f"sup |sigma|/rho from x_i(0) = {run.x[0, 0]:g}"
-    return _row(number, claim, "< 1", float(run.figures.peak_ratio), run.verdict == Verdict.HELD)
+    return _row(number, claim, "< 1", float(run.metrics.peak_ratio), run.verdict == Verdict.HELD)
 
 
 def _reaching(number: int, run: Trajectory, t_r: float) -> Row:
     claim = f"|sigma| < 0.1 for good after [s], x_i(0) = {run.x[0, 0]:g}"
-    held = int(run.figures.verdict_reaching) == Verdict.HELD
-    return _row(number, claim, f"<= {t_r:.4f}", float(run.figures.reach_time), held)
+    held = int(run.metrics.verdict_reaching) == Verdict.HELD
+    return _row(number, claim, f"<= {t_r:.4f}", float(run.metrics.reach_time), held)
 
 
 def _row(number: int, claim: str, printed: str, value: float, is_met: bool) -> Row:

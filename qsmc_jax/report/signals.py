@@ -6,11 +6,11 @@ from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.trajectory import Trajectory
 
 
-def figures_as_numbers(run: Trajectory) -> dict[str, Any]:
-    """The figures of a run, with verdicts and outcome by name."""
+def metrics_as_numbers(run: Trajectory) -> dict[str, Any]:
+    """The metrics of a run, with verdicts and outcome by name."""
     plain = {
         name: [float(v) for v in value] if isinstance(value, tuple) else value.item()
-        for name, value in run.figures.named().items()
+        for name, value in run.metrics.named().items()
     }
     verdicts = {name: Verdict(int(plain[name])).name for name in plain if name.startswith("verdict")}
     return {

@@ -1,1 +1,1 @@
-"""One trajectory: coordinates, guarded solver, figures tallied inside the solve, outcome, pictures."""
+"""One trajectory: coordinates, guarded solver, metrics accumulated inside the solve, outcome, pictures."""

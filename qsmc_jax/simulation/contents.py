@@ -6,14 +6,14 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 
-from qsmc_jax.base.digest import digest
-from qsmc_jax.base.traceable import trace
 from qsmc_jax.base.types import Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.implementation.actuators import AbstractActuator
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.unseen import is_consistent, is_known, is_own
+from qsmc_jax.tracing.digest import digest
+from qsmc_jax.tracing.traceable import trace
 
 # Hashes by part: "drift of `Mine`", ...
 Contents: TypeAlias = tuple[tuple[str, str], ...]

@@ -1,4 +1,4 @@
-"""The one place that solves a run: a problem, a start and a horizon in, figures (and signals) out."""
+"""The one place that solves a run: a problem, a start and a horizon in, metrics (and signals) out."""
 
 from collections.abc import Hashable
 from typing import cast
@@ -8,27 +8,28 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from qsmc_jax.base import trees
-from qsmc_jax.base.fence import Fence
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
-from qsmc_jax.base.vectorise import vectorised
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.control.settling import settling_time
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
-from qsmc_jax.metrics.standard import Figures
-from qsmc_jax.simulation.coordinates import named_coordinates
-from qsmc_jax.simulation.figures import Ending, read_figures
-from qsmc_jax.simulation.guarded_solver import GuardedSolver, Run
+from qsmc_jax.metrics.standard import Metrics
+from qsmc_jax.numerics import pytrees
+from qsmc_jax.numerics.barrier import Barrier
+from qsmc_jax.simulation.ideal.accumulate import first_metrics
+from qsmc_jax.simulation.ideal.coordinates import named_coordinates
+from qsmc_jax.simulation.ideal.guarded_solver import GuardedSolver, Run
+from qsmc_jax.simulation.ideal.read import FinalState, read_metrics
+from qsmc_jax.simulation.ideal.step_size import StepSize, singly
 from qsmc_jax.simulation.outcome import Outcome
-from qsmc_jax.simulation.rosenbrock import RODAS4, RODAS5P, Rosenbrock
-from qsmc_jax.simulation.sampled_figures import read_sampled_figures
-from qsmc_jax.simulation.sampled_loop import run_sampled
+from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.sampled.loop import run_sampled
+from qsmc_jax.simulation.sampled.read import read_sampled_metrics
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
-from qsmc_jax.simulation.step_size import StepSize, singly
-from qsmc_jax.simulation.tally import Problem, first_tally
-from qsmc_jax.simulation.tsit5 import Tsit5
+from qsmc_jax.solvers.rosenbrock import RODAS4, RODAS5P, Rosenbrock
+from qsmc_jax.solvers.tsit5 import Tsit5
+from qsmc_jax.tracing.vectorise import vectorised
 
 # The first step, as a part of the loop's time scale. It grows tenfold with every step kept.
 _FIRST_STEP = 1e-3
@@ -50,7 +51,7 @@ def pose(
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         settings: The settings.
         made_of: Whatever tells loops apart that look alike, since what their functions read from outside differs.
-        measures: What the study wants to know besides.
+        measures: The study's own metrics and requirements.
     """
     surface, funnel = loop.control.surface, loop.control.funnel
     gains = peak_gains(surface.c)
@@ -62,7 +63,7 @@ def pose(
         reaching_time=funnel.reaching_time(bandwidth),
         error_bounds=bounds,
         settling_time=settling_time(surface.c, funnel, bandwidth, bounds, loop.errors(0.0, x0)),
-        fence=Fence(settings.rtol / settings.rtol),
+        barrier=Barrier(settings.rtol / settings.rtol),
         made_of=made_of,
         rtol=settings.rtol,
         measures=measures,
@@ -76,7 +77,7 @@ def solve(
     settings: SolverSettings,
     ts: Float[Array, " times"] | None = None,
     is_drawn_well: BoolScalarLike = True,
-) -> tuple[Figures, tuple[Array, ...] | None]:
+) -> tuple[Metrics, tuple[Array, ...] | None]:
     """Solves one run from time 0 to `t1`.
 
     Args:
@@ -88,7 +89,7 @@ def solve(
         is_drawn_well: Whether what was drawn for the run had arguments in range; if not, it is refused.
 
     Returns:
-        The figures, and at `ts` the coordinates (n arrays), or for a loop with an implementation the states and the
+        The metrics, and at `ts` the coordinates (n arrays), or for a loop with an implementation the states and the
         input (n + 1 arrays); meaningless after the end of a run that stopped early or was refused.
     """
     solver = _solve_ideal if problem.loop.implementation is None else _solve_sampled
@@ -103,13 +104,13 @@ def _solve_sampled(
     settings: SolverSettings,
     ts: Float[Array, " times"] | None,
     is_drawn_well: BoolScalarLike,
-) -> tuple[Figures, tuple[Array, ...] | None]:
+) -> tuple[Metrics, tuple[Array, ...] | None]:
     horizon, implementation = jnp.asarray(t1), cast(Implementation, problem.loop.implementation)
     is_fit = problem.loop.control.is_valid() & implementation.is_valid(horizon) & is_drawn_well
     refused = jnp.where(is_fit, int(Outcome.COMPLETED), int(Outcome.BAD_PARAMETERS))
-    course = run_sampled(problem, implementation, tuple(x0), horizon, is_fit, settings, ts)
-    saved = None if course.saved is None else (*course.saved.x, course.saved.u)
-    return read_sampled_figures(problem, refused, horizon, settings.max_steps, course), saved
+    state = run_sampled(problem, implementation, tuple(x0), horizon, is_fit, settings, ts)
+    saved = None if state.saved is None else (*state.saved.x, state.saved.u)
+    return read_sampled_metrics(problem, refused, horizon, settings.max_steps, state), saved
 
 
 def _solve_ideal(
@@ -119,15 +120,15 @@ def _solve_ideal(
     settings: SolverSettings,
     ts: Float[Array, " times"] | None,
     is_drawn_well: BoolScalarLike,
-) -> tuple[Figures, tuple[Array, ...] | None]:
+) -> tuple[Metrics, tuple[Array, ...] | None]:
     refused = _refusal(problem, x0, is_drawn_well)
     is_admitted = refused == Outcome.COMPLETED
     horizon = jnp.asarray(t1)
     # A refused run is given no time: it takes no step, and holds up nobody in its block.
     end = jnp.where(is_admitted, horizon, 0.0)
     times = None if ts is None else jnp.where(is_admitted, ts, 0.0)
-    y0 = trees.where(is_admitted, problem.coordinates.start(problem.loop, x0), tuple(x0))
-    run0 = Run(y0, first_tally(problem, y0))
+    y0 = pytrees.where(is_admitted, problem.coordinates.start(problem.loop, x0), tuple(x0))
+    run0 = Run(y0, first_metrics(problem, y0))
     solution = dfx.diffeqsolve(
         dfx.ODETerm(_carry),
         GuardedSolver(_method(settings), settings),
@@ -143,26 +144,26 @@ def _solve_ideal(
         throw=False,
     )
     last, saved = solution.ys  # pyright: ignore[reportGeneralTypeIssues]  # None only if nothing is saved
-    ending = Ending(
+    final = FinalState(
         refused=refused,
         horizon=horizon,
         end_time=solution.ts[0][0],  # pyright: ignore[reportOptionalSubscript]
-        run=trees.first(last),
+        run=pytrees.first(last),
         result=solution.result,
-        first_height=run0.tally.peak.height,
+        first_height=run0.running.peak.height,
         steps=solution.stats["num_steps"],
     )
-    return read_figures(problem, ending), saved
+    return read_metrics(problem, final), saved
 
 
 def _carry(t: RealScalarLike, run: Run, problem: Problem) -> Run:
     """The vector field over the whole integrated state; the solver itself only ever asks for that of `y`."""
-    return Run(problem.coordinates.vector_field(t, run.y, problem.loop), trees.zeros_like(run.tally))
+    return Run(problem.coordinates.vector_field(t, run.y, problem.loop), pytrees.zeros_like(run.running))
 
 
 def _first_step(problem: Problem, x0: State, run0: Run, horizon: RealScalarLike) -> RealScalarLike:
     r"""A part of the time that the loop needs to answer, $2 \rho / (\pi |g| \cosh^2 s)$, and of the horizon."""
-    answer = jnp.abs(problem.loop.plant.gain(0.0, x0)) * (1.0 + run0.tally.u**2) / problem.loop.control.funnel(0.0)
+    answer = jnp.abs(problem.loop.plant.gain(0.0, x0)) * (1.0 + run0.running.u**2) / problem.loop.control.funnel(0.0)
     return jax.lax.stop_gradient(_FIRST_STEP / (1.0 / horizon + answer))
 
 

@@ -13,8 +13,8 @@ from typing import TypeAlias
 
 import jax.numpy as jnp
 
-from qsmc_jax.base import trees
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.enclosures.unseen import Step, Unseen, unseen
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.unseen import (
@@ -26,8 +26,8 @@ from qsmc_jax.model.unseen import (
     unseen_in_reference,
     unseen_in_signal,
 )
-from qsmc_jax.numerics.unseen import Step, Unseen, unseen
-from qsmc_jax.simulation.tally import Problem
+from qsmc_jax.numerics import pytrees
+from qsmc_jax.simulation.problem import Problem
 
 Path: TypeAlias = Callable[[RealScalarLike], Scalars]
 
@@ -55,7 +55,7 @@ def hidden(
         us: The input's size at its start and end.
         rtol: The relative tolerance.
     """
-    problem, (t0, t1), ys, us = trees.stop_gradient((problem, (step.t0, step.t1), ys, us))
+    problem, (t0, t1), ys, us = pytrees.stop_gradient((problem, (step.t0, step.t1), ys, us))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     at = _path(problem, step, ys)
     pushes = _pushes(loop, step, at)
@@ -89,7 +89,7 @@ def hidden_in_cell(
         u: Largest input in it.
         rtol: The relative tolerance.
     """
-    problem, implementation, (t0, t1), u = trees.stop_gradient((problem, implementation, (step.t0, step.t1), u))
+    problem, implementation, (t0, t1), u = pytrees.stop_gradient((problem, implementation, (step.t0, step.t1), u))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     gain = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.gain(t, at(t)), step)
     drift = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.drift(t, at(t)), step)

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from qsmc_jax.base.precision import in_64_bits
+from qsmc_jax.enclosures.unseen import Nodes, Step, Unseen, unseen
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.unseen import is_known, unseen_in_reference, unseen_in_signal
-from qsmc_jax.numerics.unseen import Nodes, Step, Unseen, unseen
 
 _NODES = Nodes((0.0, 0.5, 1.0), few=(0.0, 0.5, 1.0))
 

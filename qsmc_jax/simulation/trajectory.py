@@ -9,14 +9,14 @@ from jaxtyping import Array, Float, Real
 
 from qsmc_jax.base.checks import is_traced, require_finite, require_kind, require_positive, require_shape
 from qsmc_jax.base.module import AbstractModule, as_float64
-from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
+from qsmc_jax.display.notebook import as_dataset, as_frame, as_html
+from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.claims import claims_of, verdict_column
 from qsmc_jax.metrics.metric import AbstractMeasure
-from qsmc_jax.metrics.standard import Figures
+from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.state_jumps import require_no_state_jumps
@@ -24,14 +24,14 @@ from qsmc_jax.simulation.contents import brought
 from qsmc_jax.simulation.finite import require_finite_functions
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.probed import said_of_probed
-from qsmc_jax.simulation.sampled_signals import Course, grid_of, solve_along
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.signals import SolvedRun, grid_of, solve_along
 from qsmc_jax.simulation.stiffness import with_method
 from qsmc_jax.simulation.trajectory_plots import plot_funnel, plot_phase_plane, plot_trajectory
 
 
 class Trajectory(AbstractModule):
-    """All signals of one run on a time grid, its figures, and how it ended. NumPy float64; NaN after its end.
+    """All signals of one run on a time grid, its metrics, and how it ended. NumPy float64; NaN after its end.
 
     Attributes:
         ts: Times [s].
@@ -42,12 +42,12 @@ class Trajectory(AbstractModule):
         rho: Funnel half-width.
         u: Control input.
         d: Disturbance.
-        figures: Figures of the run, tallied inside the solve (not read off the grid).
+        metrics: Metrics of the run, accumulated inside the solve (not read off the grid).
         loop: The loop that was solved.
         bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
         error_bounds: What |sigma| < bandwidth implies for each error in the end.
         settling_time: t_s [s], from which on the funnel guarantees that the errors keep these bounds.
-        measures: Metrics and requirements of its study, whose values are in `figures.own`.
+        measures: Metrics and requirements of its study, whose values are in `metrics.own`.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -64,7 +64,7 @@ class Trajectory(AbstractModule):
     rho: Float[Array | np.ndarray, " times"]
     u: Float[Array | np.ndarray, " times"]
     d: Float[Array | np.ndarray, " times"]
-    figures: Figures
+    metrics: Metrics
     loop: ClosedLoop
     bandwidth: RealScalarLike
     error_bounds: Float[Array | np.ndarray, " n"]
@@ -74,17 +74,17 @@ class Trajectory(AbstractModule):
     @property
     def outcome(self) -> Outcome:
         """How the solve ended."""
-        return Outcome(int(self.figures.outcome))
+        return Outcome(int(self.metrics.outcome))
 
     @property
     def verdict(self) -> Verdict:
         """Verdict on the funnel claim; those on all are `verdicts`."""
-        return Verdict(int(self.figures.verdict))
+        return Verdict(int(self.metrics.verdict))
 
     @property
     def verdicts(self) -> dict[str, Verdict]:
         """The verdicts on all claims, by their names: the three of Theorem 1, and the requirements of its study."""
-        known = self.figures.named()
+        known = self.metrics.named()
         return {claim: Verdict(int(known[verdict_column(claim)])) for claim in claims_of(known)}
 
     @property
@@ -151,7 +151,7 @@ class Trajectory(AbstractModule):
     __repr__ = short_repr
 
     def __str__(self) -> str:
-        f, peak = self.figures, float(self.figures.peak_ratio)
+        f, peak = self.metrics, float(self.metrics.peak_ratio)
         claims = ", ".join(f"{claim} {verdict.name}" for claim, verdict in self.verdicts.items())
         told = f"  {self.outcome.name}: {self.outcome.advice}"
         if self.outcome in (Outcome.STARTED_OUTSIDE, Outcome.BAD_PARAMETERS):
@@ -174,15 +174,15 @@ class Trajectory(AbstractModule):
         )
 
 
-def _own_lines(figures: Figures, measures: Sequence[AbstractMeasure]) -> list[str]:
-    """What the study asks besides, a line each."""
+def _own_lines(metrics: Metrics, measures: Sequence[AbstractMeasure]) -> list[str]:
+    """The study's own metrics, a line each."""
     shown = [record for each in measures for record in each.records if not claims_of([record.name])]
-    return [f"  {each.name} {float(figures.own[each.name]):.6g} {each.unit}".rstrip() for each in shown]
+    return [f"  {each.name} {float(metrics.own[each.name]):.6g} {each.unit}".rstrip() for each in shown]
 
 
-def _sampled_lines(figures: Figures) -> list[str]:
-    """What a loop with an implementation has to say besides."""
-    f = figures.sampled
+def _sampled_lines(metrics: Metrics) -> list[str]:
+    """Additional metrics of a loop with an implementation."""
+    f = metrics.sampled
     if f is None:
         return []
     return [
@@ -224,10 +224,10 @@ def simulate(
         >>> reference, disturbance = qj.references.SumOfSines([1.0], [1.0]), qj.disturbances.Sine(0.5, 1.0)
         >>> loop = qj.ClosedLoop(qj.plants.InvertedPendulum(), reference, disturbance, control)
         >>> run = qj.simulate(loop, [0.9, 0.9], 20.0)
-        >>> run.verdict.name, round(float(run.figures.peak_ratio), 4)
+        >>> run.verdict.name, round(float(run.metrics.peak_ratio), 4)
         ('HELD', 0.6323)
     """
-    require_kind("loop", loop, ClosedLoop, ClosedLoop.remedy)
+    require_kind("loop", loop, ClosedLoop, ClosedLoop.hint)
     x0, t1 = as_float64(x0), as_float64(t1)
     check_start(loop, x0, t1)
     check_functions(loop, x0, t1)
@@ -255,20 +255,20 @@ def simulate_drawn(
     loop.control.funnel.check_bandwidth(bandwidth)
     made_of = () if is_traced(loop) else brought(loop)
     settings, ts = with_method(settings, loop, x0, t1, made_of), grid_of(ts, t1)
-    course = _solve_along(loop, x0, t1, bandwidth, ts, settings, np.asarray(is_drawn_well), made_of)
-    return trajectory(loop, bandwidth, ts, course)
+    solved = _solve_along(loop, x0, t1, bandwidth, ts, settings, np.asarray(is_drawn_well), made_of)
+    return trajectory(loop, bandwidth, ts, solved)
 
 
 def trajectory(
     loop: ClosedLoop,
     bandwidth: RealScalarLike,
     ts: Float[Array | np.ndarray, " times"],
-    course: Course,
+    solved: SolvedRun,
     measures: tuple[AbstractMeasure, ...] = (),
 ) -> Trajectory:
-    """What a user sees of a course: with the loop that was solved."""
-    told = course.figures, loop, bandwidth, course.error_bounds, course.settling_time, measures
-    return Trajectory(ts, *course.signals, *told)
+    """What a user sees of a solved: with the loop that was solved."""
+    told = solved.metrics, loop, bandwidth, solved.error_bounds, solved.settling_time, measures
+    return Trajectory(ts, *solved.signals, *told)
 
 
 def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:

@@ -1,17 +1,14 @@
 """Pictures of one run: the paper's four, and its Figure 1."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
-
-if TYPE_CHECKING:
-    from qsmc_jax.simulation.trajectory import Trajectory
+from qsmc_jax.display.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
 
 
-def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None, ax: Any = None) -> Any:
+def plot_trajectory(*runs: Any, labels: tuple[str, ...] | None = None, ax: Any = None) -> Any:
     """Output and reference, errors, input, and sigma inside its funnel, of one or several runs of one loop.
 
     Args:
@@ -43,7 +40,7 @@ def plot_trajectory(*runs: "Trajectory", labels: tuple[str, ...] | None = None, 
     return axes
 
 
-def plot_phase_plane(run: "Trajectory", ax: Any = None) -> Any:
+def plot_phase_plane(run: Any, ax: Any = None) -> Any:
     """The paper's Figure 1: e against its derivative, and the surfaces |sigma| = rho(t) closing in on epsilon.
 
     Args:
@@ -82,7 +79,7 @@ def plot_phase_plane(run: "Trajectory", ax: Any = None) -> Any:
     return ax
 
 
-def plot_funnel(run: "Trajectory", ax: Any = None) -> Any:
+def plot_funnel(run: Any, ax: Any = None) -> Any:
     """The sliding variable in its funnel.
 
     Args:
@@ -102,7 +99,7 @@ def _colours(count: int) -> list[str]:
     return [SERIES[i % len(SERIES)] for i in range(count)]
 
 
-def _output(ax: Any, run: "Trajectory", colour: str, label: str) -> None:
+def _output(ax: Any, run: Any, colour: str, label: str) -> None:
     ax.plot(run.ts, run.x[:, 0], color=colour, label=label or "y")
 
 
@@ -118,11 +115,11 @@ def _errors(ax: Any, runs: tuple[Any, ...]) -> None:
     ax.set(title="Tracking error", xlabel="t [s]", ylabel="$e^{(i)}$" if len(runs) == 1 else "$e$")
 
 
-def _input(ax: Any, run: "Trajectory", colour: str) -> None:
+def _input(ax: Any, run: Any, colour: str) -> None:
     ax.plot(run.ts, run.u, color=colour)
 
 
-def _funnel(ax: Any, run: "Trajectory") -> None:
+def _funnel(ax: Any, run: Any) -> None:
     """The funnel, the bandwidth and the reaching time around the sliding variable, on a scale that shows both ends."""
     eps, t_r = float(run.bandwidth), run.reaching_time
     for sign in (-1.0, 1.0):

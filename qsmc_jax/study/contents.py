@@ -8,13 +8,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from qsmc_jax.base.digest import digest
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.metrics.check import kind_of, program_of
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.simulation.contents import Contents, functions_of
 from qsmc_jax.study.draw import PointDraw, dimension
+from qsmc_jax.tracing.digest import digest
 
 
 def contents(scenario: Callable[[Any], Any], measures: tuple[AbstractMeasure, ...] = ()) -> Contents:

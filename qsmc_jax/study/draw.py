@@ -20,19 +20,19 @@ from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.names import require_name
 from qsmc_jax.base.precision import in_64_bits
-from qsmc_jax.base.traceable import traceable
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.claims import require_no_claim
 from qsmc_jax.metrics.standard import FIELDS, catalogue
 from qsmc_jax.study import quantiles
+from qsmc_jax.tracing.traceable import traceable
 
 # Standard deviations from the mean to an interval, beyond which the probability of the interval underflows.
 _REACH = 37.0
 
 # Kind of a name that is worked out from others.
 RECORDED = "record"
-# Columns that every table of runs has, and names by which figures are told.
-TABLE_COLUMNS = frozenset({"index", "rung", *catalogue(), *FIELDS})
+# Columns that every table of runs has, and names by which metrics are told.
+TABLE_COLUMNS = frozenset({"index", "tier", *catalogue(), *FIELDS})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +90,7 @@ class PointDraw:
         Args:
             point: A point of the unit cube, float64; None for the nominal point, every coordinate at 0.5.
             values: Numbers to use in place of what the names would get, unchecked (see `check_values`). Coordinates of
-                substituted names are passed over, so that the others don't move.
+                substituted names are skipped, so that the others don't move.
         """
         self.recorded: dict[str, Any] = {}
         self.specs: list[DrawSpec] = []

@@ -8,7 +8,7 @@ import numpy as np
 
 from qsmc_jax.base.checks import require_count, require_kind
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import Lanes, block_size, thread_count
+from qsmc_jax.study.batches import BatchSolver, block_size, thread_count
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
@@ -112,15 +112,15 @@ def stream(
     """
     require_kind("study", study, Study, REMEDY)
     block = block_size(block)
-    lanes = Lanes(study, settings or SolverSettings(), block)
+    solver = BatchSolver(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
     require_kind(
         "sampling", sampling, AbstractSampling, "Use `qj.Random()`, `qj.LatinHypercube(runs)` or `qj.Sobol()`."
     )
     threads = thread_count(threads)
-    planner = planner or Planner(lanes, seed, sampling)
+    planner = planner or Planner(solver, seed, sampling)
     done, solved = 0, []
-    for piece, table in _in_order(lanes, planner.pieces(indices), threads):
+    for piece, table in _in_order(solver, planner.pieces(indices), threads):
         done += len(table)
         solved.append((piece.rows, table))
         planner.learn(piece, table["steps"])
@@ -133,14 +133,14 @@ def stream(
             solved = []
 
 
-def _in_order(lanes: Lanes, pieces: Iterator[Piece], threads: int) -> Iterator[tuple[Piece, Runs]]:
+def _in_order(solver: BatchSolver, pieces: Iterator[Piece], threads: int) -> Iterator[tuple[Piece, Runs]]:
     """Pieces and their rows, in order, with at most two pieces a thread begun and not yet taken."""
     pending: collections.deque[tuple[Piece, Future[Runs]]] = collections.deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             for piece in pieces:
-                lanes.compile(piece.method)  # here, or each thread would
-                pending.append((piece, pool.submit(lanes.solve, piece.indices, piece.points, piece.method)))
+                solver.compile(piece.method)  # here, or each thread would
+                pending.append((piece, pool.submit(solver.solve, piece.indices, piece.points, piece.method)))
                 if len(pending) >= 2 * threads:
                     piece, future = pending.popleft()
                     yield piece, future.result()

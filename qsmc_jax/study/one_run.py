@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.metrics.standard import Figures
+from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.simulation.engine import pose, solve
-from qsmc_jax.simulation.sampled_signals import Course, solve_along
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.signals import SolvedRun, solve_along
 from qsmc_jax.simulation.stiffness import stiffness
 from qsmc_jax.study.contents import Made
 from qsmc_jax.study.draw import PointDraw
@@ -26,14 +26,14 @@ def run(
     bandwidth: Float[Array, ""],
     values: Values,
     point: Float[Array, " dim"],
-) -> tuple[dict[str, Array], Figures]:
-    """The values of a run's names, and its figures."""
+) -> tuple[dict[str, Array], Metrics]:
+    """The values of a run's names, and its metrics."""
     draw = PointDraw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.order))
     problem = pose(made.loop, x0, bandwidth, settings, scenario.contents, scenario.measures)
-    figures, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
-    return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, figures
+    metrics, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
+    return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, metrics
 
 
 def run_along(
@@ -43,13 +43,13 @@ def run_along(
     ts: Float[Array, " times"],
     values: Values,
     point: Float[Array, " dim"],
-) -> tuple[dict[str, Array], Course]:
-    """The values of a run's names, its figures and its signals at the times."""
+) -> tuple[dict[str, Array], SolvedRun]:
+    """The values of a run's names, its metrics and its signals at the times."""
     draw = PointDraw(point, values)
     made = scenario(draw)
     known = draw.is_valid, scenario.contents, scenario.measures
-    course = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, *known)
-    return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, course
+    solved = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, *known)
+    return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, solved
 
 
 def stiffness_at(scenario: Made, values: Values, point: Float[Array, " dim"]) -> Float[Array, ""]:

@@ -1,4 +1,4 @@
-"""The table of a study: one row a run, one column a name or a figure."""
+"""The table of a study: one row a run, one column a name or a metric."""
 
 import dataclasses
 from collections.abc import ItemsView, Iterator, KeysView, Mapping, Sequence, ValuesView
@@ -9,8 +9,8 @@ from jaxtyping import Int
 
 from qsmc_jax.base.checks import nearest
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.base.notebook import as_dataset, as_frame, as_html
-from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.display.notebook import as_dataset, as_frame, as_html
+from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.metrics.claims import claims_of, verdict_column
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.standard import record_of
@@ -33,7 +33,7 @@ class Runs:
     As in a data frame, `runs["mass"]` is a column and `runs[:100]` are rows; `len(runs)` counts rows, `runs.keys()`
     columns.
 
-    Columns: `index`; one for each drawn name (`mass`, `x0[0]`, `x0[1]`); and the `Figures` of the run, with
+    Columns: `index`; one for each drawn name (`mass`, `x0[0]`, `x0[1]`); and the `Metrics` of the run, with
     `peak_error[i]` for each error derivative. Verdicts are codes of `Verdict`, outcomes of `Outcome`.
 
     Attributes:

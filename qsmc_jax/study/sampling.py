@@ -18,8 +18,8 @@ from jaxtyping import Array, Float, Key, UInt32
 
 from qsmc_jax.base.checks import is_whole, require, require_count
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.base.platforms import platform
 from qsmc_jax.base.precision import in_64_bits
+from qsmc_jax.tracing.platforms import platform
 
 if TYPE_CHECKING:
     from scipy.stats import qmc

@@ -49,7 +49,7 @@ class Schedule:
         self._gram, self._moments, self._seen = np.zeros((size, size)), np.zeros(size), 0
 
     def learn(self, points: Float[np.ndarray, "runs dim"], steps: Int[np.ndarray, " runs"]) -> None:
-        """Takes in runs that have been solved; those that took no step are passed over."""
+        """Updates the fit with solved runs; runs without a step are ignored."""
         every = max(1, -(-len(steps) // _ENOUGH))
         points, steps = points[::every], steps[::every]
         taken = steps > 0

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import require, require_kind
-from qsmc_jax.base.notebook import as_dataset
-from qsmc_jax.base.short_repr import short_repr
-from qsmc_jax.simulation.sampled_signals import grid_of
+from qsmc_jax.display.notebook import as_dataset
+from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import LANE_MULTIPLE, Lanes, table
+from qsmc_jax.simulation.signals import grid_of
+from qsmc_jax.study.batches import LANE_MULTIPLE, BatchSolver, table
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.study import Study, require_study
@@ -28,7 +28,7 @@ class SignalBatch:
 
     Attributes:
         ts: Times [s].
-        runs: The runs' rows, drawn values and figures, in the order asked for.
+        runs: The runs' rows, drawn values and metrics, in the order asked for.
         x: States, (runs, times, n).
         desired: Desired output and its first n - 1 derivatives, (runs, times, n).
         e: Errors e^(0) ... e^(n-1), (runs, times, n).
@@ -114,16 +114,16 @@ def signals(
         ((2, 3), (2, 3, 2), True)
     """
     require_study(study)
-    lanes = Lanes(study, settings or SolverSettings(), block)
+    solver = BatchSolver(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
     require_kind("sampling", sampling, AbstractSampling, "Use `qj.Random()` or the sampling of the study.")
     require(len(indices) > 0, "Argument `indices` must name at least one run, but is empty.")
     grid = grid_of(ts, study.nominal.t1)
     rows, solved, courses = [], [], []
-    for piece in Planner(lanes, seed, sampling).pieces(indices):
-        record, course = lanes.call(lanes.compile(piece.method, grid), piece.points, grid)
+    for piece in Planner(solver, seed, sampling).pieces(indices):
+        record, course = solver.call(solver.compile(piece.method, grid), piece.points, grid)
         rows.append(piece.rows)
-        solved.append(table(study, piece.indices, record, course.figures))
+        solved.append(table(study, piece.indices, record, course.metrics))
         courses.append([signal[: len(piece.rows)] for signal in course.signals])
     order = np.argsort(np.concatenate(rows))
     together = (np.concatenate(each)[order] for each in zip(*courses, strict=True))

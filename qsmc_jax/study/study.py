@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.short_repr import short_repr
 from qsmc_jax.base.types import Draw
+from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.check import check_measures, records_in
 from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, margin_column, verdict_column
@@ -21,8 +21,8 @@ from qsmc_jax.metrics.metric import AbstractMeasure, AbstractMetric
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.requirements import Required, Requirement
 from qsmc_jax.metrics.standard import record_of
-from qsmc_jax.simulation.sampled_signals import grid_of, signals_at_start
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.signals import grid_of, signals_at_start
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
 from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn, trajectory
 from qsmc_jax.study.contents import Contents, Made, contents
@@ -152,7 +152,7 @@ class Study:
 
     @property
     def measures(self) -> tuple[AbstractMeasure, ...]:
-        """What it wants to know of each run besides: its metrics and its requirements."""
+        """Its metrics and its requirements."""
         return (*self.metrics, *(Required(*each) for each in self.requirements.items()))
 
     def _take(self, values: Mapping[str, Any]) -> None:
@@ -276,8 +276,8 @@ class Study:
             own = 0.0 if is_traced(self.numbers) else float(self._stiffness_at(point))
             settings = settings.replace(method=method_for(own, self.stiffness, settings.method))
         ts, bandwidth = grid_of(ts, made.t1), as_float64(self.bandwidth)
-        _, course = program(run_along, self.made)(settings, bandwidth, ts, self.numbers, point)
-        return trajectory(made.loop, bandwidth, ts, course, self.measures)
+        _, solved = program(run_along, self.made)(settings, bandwidth, ts, self.numbers, point)
+        return trajectory(made.loop, bandwidth, ts, solved, self.measures)
 
     def _stiffness_at(self, point: np.ndarray) -> Any:
         return program(stiffness_at, self.made)(self.numbers, point)
@@ -302,8 +302,8 @@ def _metrics(given: Any) -> tuple[AbstractMetric, ...]:
 
 
 def _requirements(given: Any) -> dict[Any, Requirement]:
-    found, remedy = type(given).__name__, 'write {"name": qj.always(...)}'
-    require(isinstance(given, Mapping), f"Argument `requirements` must be a dictionary, but is a `{found}`: {remedy}.")
+    found, hint = type(given).__name__, 'write {"name": qj.always(...)}'
+    require(isinstance(given, Mapping), f"Argument `requirements` must be a dictionary, but is a `{found}`: {hint}.")
     for requirement in given.values():
         require_kind("requirements", requirement, Requirement, "Make them by `qj.always` and `qj.eventually`.")
     return dict(given)

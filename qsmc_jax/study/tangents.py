@@ -1,4 +1,4 @@
-"""Figures of runs and their derivatives by the names of a study: blocks over threads, like the runs themselves."""
+"""Metrics of runs and their derivatives by the names of a study: blocks over threads, like the runs themselves."""
 
 import dataclasses
 import functools as ft
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
-from qsmc_jax.study.lanes import Lanes, thread_count
+from qsmc_jax.study.batches import BatchSolver, thread_count
 from qsmc_jax.study.one_run import run
 from qsmc_jax.study.sampling import Random
 from qsmc_jax.study.study import Study
@@ -20,13 +20,13 @@ from qsmc_jax.study.study import Study
 
 @dataclasses.dataclass(frozen=True)
 class Tangents:
-    """Figures of some runs and their derivatives, one row a run.
+    """Metrics of some runs and their derivatives, one row a run.
 
     Attributes:
-        values: Figures, (runs, metrics); NaN where a figure is not known.
-        jacobian: Their derivatives by the names, (runs, metrics, names); 0 where a figure or its derivative is not
+        values: Metrics, (runs, metrics); NaN where a metric is not known.
+        jacobian: Their derivatives by the names, (runs, metrics, names); 0 where a metric or its derivative is not
             known, so that no mean is spoilt.
-        is_known: Where figure and derivative are both known, (runs, metrics).
+        is_known: Where metric and derivative are both known, (runs, metrics).
         verdict: The runs' verdicts on the funnel.
         outcome: How their solves ended.
     """
@@ -49,7 +49,7 @@ def differentiate(
     block: int,
     threads: int | None = None,
 ) -> Tangents:
-    """Solves independent runs and differentiates their figures by numbers of the study.
+    """Solves independent runs and differentiates their metrics by numbers of the study.
 
     The supremum's derivative is that of the value at its place, which is right wherever the place is unique. Memory in
     forward mode is that of the runs times twice the names; in reverse mode some 3 MB a run solved at the same time.
@@ -66,14 +66,14 @@ def differentiate(
         threads: Blocks solved at the same time; None for one a core of a CPU.
 
     Returns:
-        The figures and derivatives, on the host.
+        The metrics and derivatives, on the host.
     """
-    lanes = Lanes(study, settings, block)
-    program = lanes.compile_block(_Block(lanes.choices(lanes.nominal_method), names, metrics))
+    solver = BatchSolver(study, settings, block)
+    program = solver.compile_block(_Block(solver.choices(solver.nominal_method), names, metrics))
     chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
 
     def solve(chunk: np.ndarray) -> list[np.ndarray]:
-        result = lanes.call(program, Random().points(seed, chunk, study.dimension))
+        result = solver.call(program, Random().points(seed, chunk, study.dimension))
         return [np.asarray(part)[: len(chunk)] for part in result]
 
     with ThreadPoolExecutor(thread_count(threads)) as pool:
@@ -104,7 +104,7 @@ class _Block:
         settings = SolverSettings(rtol, atol, **dict(self.choices))
         at = jnp.stack([values[name] for name in self.names])
 
-        def figures(
+        def metrics(
             at: Float[Array, " names"], point: Float[Array, " dim"]
         ) -> tuple[Array, tuple[Array, Array, Array, Array]]:
             tuned = {name: at[i] for i, name in enumerate(self.names)}
@@ -114,22 +114,22 @@ class _Block:
             return chosen, (chosen, made.verdict, made.outcome, made.steps)
 
         mode = _forward if settings.adjoint == "forward" else _reverse
-        jacobian, (chosen, verdict, outcome, steps) = mode(figures, at, points)
+        jacobian, (chosen, verdict, outcome, steps) = mode(metrics, at, points)
         return chosen, jacobian, verdict, outcome, steps
 
 
-def _reverse(figures: Callable[..., Any], at: Float[Array, " names"], points: Float[Array, "lanes dim"]) -> Any:
-    return jax.vmap(ft.partial(jax.jacrev(figures, has_aux=True), at))(points)
+def _reverse(metrics: Callable[..., Any], at: Float[Array, " names"], points: Float[Array, "lanes dim"]) -> Any:
+    return jax.vmap(ft.partial(jax.jacrev(metrics, has_aux=True), at))(points)
 
 
-def _forward(figures: Callable[..., Any], at: Float[Array, " names"], points: Float[Array, "lanes dim"]) -> Any:
+def _forward(metrics: Callable[..., Any], at: Float[Array, " names"], points: Float[Array, "lanes dim"]) -> Any:
     """A lane for each run and name: all numbers then have one shape, which XLA compiles to a third of the time.
 
     Tangents beside a run's own numbers, as `jacfwd` has them, make it work out the latter anew for each.
     """
 
     def along(point: Float[Array, " dim"], direction: Float[Array, " names"]) -> tuple[Array, Any]:
-        _, slopes, rest = jax.jvp(lambda at: figures(at, point), (at,), (direction,), has_aux=True)
+        _, slopes, rest = jax.jvp(lambda at: metrics(at, point), (at,), (direction,), has_aux=True)
         return slopes, rest
 
     count, names = len(points), len(at)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, rows_by_method
-from qsmc_jax.study.lanes import Lanes
+from qsmc_jax.study.batches import BatchSolver
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling
 from qsmc_jax.study.schedule import Schedule
@@ -31,9 +31,9 @@ class Piece:
 class Planner:
     """Cuts the runs into windows, and each window into pieces of equal method and like cost."""
 
-    def __init__(self, lanes: Lanes, seed: int, sampling: AbstractSampling):
-        self._lanes, self._seed, self._sampling = lanes, seed, sampling
-        self._schedules = collections.defaultdict(lambda: Schedule(lanes.study.dimension))
+    def __init__(self, solver: BatchSolver, seed: int, sampling: AbstractSampling):
+        self._solver, self._seed, self._sampling = solver, seed, sampling
+        self._schedules = collections.defaultdict(lambda: Schedule(solver.study.dimension))
 
     def learn(self, piece: Piece, steps: np.ndarray) -> None:
         """Takes in what a piece cost."""
@@ -41,18 +41,18 @@ class Planner:
 
     def pieces(self, indices: Sequence[int] | np.ndarray) -> Iterator[Piece]:
         """All pieces, in the order of their windows. As long as nothing is known a small one comes first, to learn."""
-        start, size = 0, (WINDOW if self._schedules else FIRST_WINDOW) * self._lanes.count
+        start, size = 0, (WINDOW if self._schedules else FIRST_WINDOW) * self._solver.count
         while start < len(indices):
             yield from self._window(start, np.asarray(indices[start : start + size]))
-            start, size = start + size, WINDOW * self._lanes.count
+            start, size = start + size, WINDOW * self._solver.count
 
     def _window(self, start: int, indices: np.ndarray) -> Iterator[Piece]:
-        block, dim = self._lanes.count, self._lanes.study.dimension
+        block, dim = self._solver.count, self._solver.study.dimension
         chunks = [indices[i : i + block] for i in range(0, len(indices), block)]
         chunked = [self._sampling.points(self._seed, chunk, dim) for chunk in chunks]
-        points, stiffness, asked_for = np.concatenate(chunked), self._stiffness(chunked), self._lanes.settings.method
+        points, stiffness, asked_for = np.concatenate(chunked), self._stiffness(chunked), self._solver.settings.method
         parts = []
-        for method, rows in rows_by_method(stiffness, self._lanes.study.stiffness, asked_for):
+        for method, rows in rows_by_method(stiffness, self._solver.study.stiffness, asked_for):
             if len(rows) > block:  # else they are solved together in any order
                 rows = rows[self._schedules[method].order(points[rows], stiffness[rows])]
             parts += [(method, rows[i : i + block]) for i in range(0, len(rows), block)]
@@ -61,8 +61,8 @@ class Planner:
 
     def _stiffness(self, chunked: list[Float[np.ndarray, "_ dim"]]) -> Float[np.ndarray, " runs"]:
         """How stiff each run will be; 0 if that has no say."""
-        has_a_say = self._lanes.settings.method in BY_STIFFNESS
-        return np.concatenate([self._lanes.stiffness(each) if has_a_say else np.zeros(len(each)) for each in chunked])
+        has_a_say = self._solver.settings.method in BY_STIFFNESS
+        return np.concatenate([self._solver.stiffness(each) if has_a_say else np.zeros(len(each)) for each in chunked])
 
 
 def reassembled(solved: list[tuple[np.ndarray, Runs]]) -> Runs:

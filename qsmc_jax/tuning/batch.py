@@ -1,4 +1,4 @@
-"""The training runs: the same random numbers for all gains, their objective and constraints, and what was spent."""
+"""The training runs, the same for all gains: their objective and constraints, and how many simulations were made."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -9,12 +9,12 @@ from jaxtyping import Float
 from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import LANE_MULTIPLE, block_size, thread_count
+from qsmc_jax.study.batches import LANE_MULTIPLE, block_size, thread_count
 from qsmc_jax.study.monte_carlo import stream
 from qsmc_jax.study.runs import concatenate
 from qsmc_jax.study.study import Study
 from qsmc_jax.study.tangents import differentiate
-from qsmc_jax.tuning.box import Box
+from qsmc_jax.tuning.bounds import Bounds
 from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.rows import LOSS, NEEDED, counted, is_unknown, mean_loss, slopes
 from qsmc_jax.tuning.terms import METRICS, Term
@@ -29,16 +29,16 @@ class Evaluation:
 
     Attributes:
         gains: The gains, by name.
-        objective: The objective, without smoothing; infinite if a figure that it needs is not known in some run.
-        excess: By how much each constraint is passed, in units of its bound; kept where not positive.
+        objective: The objective, without smoothing; infinite if a metric that it needs is not known in some run.
+        excess: Violation of each constraint, in units of its bound; satisfied where not positive.
         inside: How far inside its bound each must stay, in units of it.
-        lost: Part of the runs that left the funnel or could not be decided, and have no figures for that.
-        unknown: Part of the runs in which a figure is not known, for that or another reason, or that are inadmissible.
+        lost: Part of the runs that left the funnel or could not be decided, and have no metrics for that.
+        unknown: Part of the runs in which a metric is not known, for that or another reason, or that are inadmissible.
         inadmissible: Part of the runs that are inadmissible: statistics are those of the others.
         allowed: What part may be: that at the study's own gains. Gains must not look better by shutting runs out.
-        loss: Mean over the admissible runs of what each lost that has not all figures: at least 0.01, and the part of
+        loss: Mean over the admissible runs of what each lost that has not all metrics: at least 0.01, and the part of
             its horizon that was left when it left; see `counted`.
-        spent: Simulations made so far; a gradient counts as one for the run and one for each name.
+        n_simulations: Simulations made so far; a gradient counts as one for the run and one for each name.
         start: Number of the start that the descent came from; -1 for the starts themselves.
         attempt: Number of the design, from 0.
     """
@@ -52,12 +52,12 @@ class Evaluation:
     inadmissible: float
     allowed: float
     loss: float
-    spent: int
+    n_simulations: int
     start: int
     attempt: int
 
     @property
-    def lacks(self) -> tuple[float, ...]:
+    def violations(self) -> tuple[float, ...]:
         """What each constraint lacks to be kept as far inside as it must; nothing where not positive."""
         return tuple(each + self.inside for each in self.excess)
 
@@ -65,7 +65,7 @@ class Evaluation:
     def is_feasible(self) -> bool:
         """Whether every constraint is kept, and the objective known in every run, no fewer than at the own gains."""
         is_known = bool(np.isfinite(self.objective)) and self.inadmissible <= self.allowed
-        return is_known and all(each <= KEPT for each in self.lacks)
+        return is_known and all(each <= KEPT for each in self.violations)
 
     @property
     def merit(self) -> tuple[int, float]:
@@ -77,7 +77,7 @@ class Evaluation:
             return 0, self.objective
         if self.loss > 0.0:
             return 2, self.loss
-        return 1, sum(max(each, 0.0) for each in self.lacks) + max(self.inadmissible - self.allowed, 0.0)
+        return 1, sum(max(each, 0.0) for each in self.violations) + max(self.inadmissible - self.allowed, 0.0)
 
 
 @dataclasses.dataclass
@@ -86,7 +86,7 @@ class Batch:
 
     Attributes:
         study: The study.
-        box: The parameters to be tuned.
+        bounds: The parameters to be tuned.
         objective: What to make small.
         constraints: What to keep.
         runs: How many runs.
@@ -98,12 +98,12 @@ class Batch:
         tell: Told each evaluation.
         allowed: Part of the runs that may be inadmissible.
         inside: How far inside its bound each constraint must stay, in units of it.
-        spent: Simulations made so far.
+        n_simulations: Simulations made so far.
         history: Every evaluation, in order.
     """
 
     study: Study
-    box: Box
+    bounds: Bounds
     objective: Objective
     constraints: tuple[Constraint, ...]
     runs: int
@@ -115,7 +115,7 @@ class Batch:
     tell: Callable[[Evaluation], None] | None
     allowed: float = 1.0
     inside: float = 0.0
-    spent: int = 0
+    n_simulations: int = 0
     history: list[Evaluation] = dataclasses.field(default_factory=list)
 
     def __post_init__(self):
@@ -149,11 +149,11 @@ class Batch:
 
     def evaluate(self, v: Float[np.ndarray, " names"], start: int = -1) -> Evaluation:
         """Objective and constraints at a point of the unit cube."""
-        gains = self.box.gains(v)
+        gains = self.bounds.gains(v)
         there, options = self.study.substitute(**gains), {"block": self._block, "threads": self.threads}
         blocks = stream(there, range(self.runs), self.seed, settings=self.settings, **options)
         table = concatenate(list(blocks)).columns
-        self.spent += self.runs
+        self.n_simulations += self.runs
         return self._keep(gains, table, counted(table, self.metrics, self._horizon(gains)), start)
 
     def differentiate(
@@ -165,18 +165,18 @@ class Batch:
             The evaluation; smoothed objective and excesses, each over the runs in which it is known, and what lost runs
             lack, negative if there are none, (1 + constraints + 1,); and their derivatives.
         """
-        gains, wanted = self.box.gains(v), tuple(dict.fromkeys((*self.metrics, *NEEDED)))
+        gains, wanted = self.bounds.gains(v), tuple(dict.fromkeys((*self.metrics, *NEEDED)))
         found = differentiate(
             self.study.substitute(**gains),
             np.arange(self.runs),
             self.seed,
-            names=self.box.names,
+            names=self.bounds.names,
             metrics=wanted,
             settings=self.settings,
             block=self._block,
             threads=self.threads,
         )
-        self.spent += self.runs * (1 + len(self.box.names))
+        self.n_simulations += self.runs * (1 + len(self.bounds.names))
         table = {metric: found.values[:, i] for i, metric in enumerate(wanted)}
         table |= {"verdict": found.verdict, "outcome": found.outcome}
         horizon, by_name = self._horizon(gains), {metric: found.jacobian[:, i] for i, metric in enumerate(wanted)}
@@ -191,7 +191,7 @@ class Batch:
         parts.append((lacking if lacking > 0.0 else -1.0, by_loss))
         values = np.array([value for value, _ in parts])
         by_gain = np.array([sum(w @ by_column[name] for name, w in weights.items()) for _, weights in parts])
-        return made, values, by_gain * self.box.slopes(v)
+        return made, values, by_gain * self.bounds.slopes(v)
 
     def _horizon(self, gains: Mapping[str, float]) -> float:
         return float(self.study.substitute(**gains).nominal.t1)
@@ -206,7 +206,7 @@ class Batch:
         self, gains: dict[str, float], table: Mapping[str, np.ndarray], columns: Mapping[str, np.ndarray], start: int
     ) -> Evaluation:
         verdict = np.asarray(table["verdict"])
-        has_figures = ~is_unknown(columns, self.metrics)
+        has_metrics = ~is_unknown(columns, self.metrics)
         inadmissible = float(np.mean(verdict == Verdict.INADMISSIBLE))
         made = Evaluation(
             gains=gains,
@@ -214,11 +214,11 @@ class Batch:
             excess=tuple(constraint.excess(columns)[0] for constraint in self.constraints),
             inside=self.inside,
             lost=float(np.sum(columns[LOSS] > 0.0)) / len(verdict),
-            unknown=1.0 - float(np.sum(has_figures)) / len(verdict),
+            unknown=1.0 - float(np.sum(has_metrics)) / len(verdict),
             inadmissible=inadmissible,
             allowed=self.allowed,
             loss=mean_loss(columns, self.metrics)[0],
-            spent=self.spent,
+            n_simulations=self.n_simulations,
             start=start,
             attempt=self.attempt,
         )

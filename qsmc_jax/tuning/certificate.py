@@ -6,17 +6,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.statistics.simultaneous import each_of
 from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate, count_verdicts
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.rows import counted, is_solved_to_its_end
 from qsmc_jax.verification.counts import Counts
-from qsmc_jax.verification.decided import decide, part_of
-from qsmc_jax.verification.simultaneous import each_of
+from qsmc_jax.verification.resolve import decide, part_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,7 +148,7 @@ def certify(
 
 
 def fails_any(verdict: np.ndarray) -> np.ndarray:
-    """The runs that fail whatever is said of them, unless a known figure says otherwise.
+    """The runs that fail whatever is said of them, unless a known metric says otherwise.
 
     A start outside the funnel counts as a failure: gains must not look safe by shutting runs out.
     """
@@ -158,8 +158,8 @@ def fails_any(verdict: np.ndarray) -> np.ndarray:
 def judge(constraint: Constraint, table: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Which single runs fail a bound for certain, and which could not be decided; every other run keeps it for certain.
 
-    A run keeps the bound only if its figure is known, over the whole horizon, and lies within; one that left the funnel
-    fails whatever bound implies that it stays there. Where the figure is not known a run that left fails, as one that
+    A run keeps the bound only if its metric is known, over the whole horizon, and lies within; one that left the funnel
+    fails whatever bound implies that it stays there. Where the metric is not known a run that left fails, as one that
     was not admissible does, and any other is undecided.
 
     Args:

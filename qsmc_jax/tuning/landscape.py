@@ -8,27 +8,27 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind, require_list
-from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.display.result import AbstractResult
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Batch
-from qsmc_jax.tuning.box import box_of
+from qsmc_jax.tuning.bounds import bounds_of
 from qsmc_jax.tuning.objectives import Constraint, Objective, parse_constraint, parse_objective
 from qsmc_jax.tuning.result import Tuning
 from qsmc_jax.tuning.result_plots import plot_contour, plot_pareto
 
 
-@dataclasses.dataclass(frozen=True)
-class Landscape:
-    """Figures over a grid of two gains.
+@dataclasses.dataclass(frozen=True, repr=False)
+class Landscape(AbstractResult):
+    """Metrics over a grid of two gains.
 
     Attributes:
         names: The two gains.
         grids: Their values.
         objectives: What was evaluated; the first is the objective.
         constraints: The constraints.
-        values: Each objective, (objectives, first, second); infinite where some run has no figure.
-        is_feasible: Where every constraint is kept, and every run admissible with known figures, (first, second).
+        values: Each objective, (objectives, first, second); infinite where some run has no metric.
+        is_feasible: Where every constraint is kept, and every run admissible with known metrics, (first, second).
         marked: Each objective at the gains that were marked, by label.
 
     Examples:
@@ -57,8 +57,6 @@ class Landscape:
         grid = " x ".join(f"{len(grid)} {name}" for name, grid in zip(self.names, self.grids, strict=True))
         return f"{self.objectives[0]} over {grid}"
 
-    __repr__ = short_repr
-
     @property
     def is_efficient(self) -> np.ndarray:
         """Which feasible cells no other feasible cell beats in the first two objectives, (first, second)."""
@@ -69,12 +67,25 @@ class Landscape:
         efficient = ~np.any(no_worse & better, axis=1) & np.isfinite(points).all(axis=1)
         return efficient.reshape(self.is_feasible.shape)
 
-    def plot(self, tuned: Tuning | None = None, ax: Any = None) -> Any:
+    def table(self) -> dict[str, Any]:
+        """The cells as columns, a row a cell: both gains, each objective, whether it is feasible."""
+        mesh = np.meshgrid(*self.grids, indexing="ij")
+        columns = {name: values.ravel() for name, values in zip(self.names, mesh, strict=True)}
+        columns.update({str(made): values.ravel() for made, values in zip(self.objectives, self.values, strict=True)})
+        return {**columns, "is_feasible": self.is_feasible.ravel()}
+
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain numbers and texts, ready for JSON."""
+        cells = {name: column.tolist() for name, column in self.table().items()}
+        marked = {label: values.tolist() for label, values in self.marked.items()}
+        return {"names": list(self.names), "constraints": [str(c) for c in self.constraints], **cells, "marked": marked}
+
+    def plot(self, ax: Any = None, *, tuned: Tuning | None = None) -> Any:
         """Contours of the objective, where the constraints are kept, and the path of a search.
 
         Args:
-            tuned: What `tune` returned for the same two gains; None for contours alone.
             ax: Matplotlib `Axes` to draw in; None for a new figure.
+            tuned: What `tune` returned for the same two gains; None for contours alone.
 
         Returns:
             The axes.
@@ -157,9 +168,11 @@ def landscape(
     require_count("points", points, 2)
     objectives = tuple(parse_objective(each) for each in (objective, against) if each is not None)
     constraints = tuple(map(parse_constraint, subject_to))
-    box = box_of(study, names)
+    bounds = bounds_of(study, names)
     asked = (*(each <= 0.0 for each in objectives), *constraints)  # their excess is their value: all of one solve
-    batch = Batch(study, box, objectives[0], asked, runs, seed, settings or SolverSettings(), block, threads, 0, None)
+    batch = Batch(
+        study, bounds, objectives[0], asked, runs, seed, settings or SolverSettings(), block, threads, 0, None
+    )
     cells = [np.array([a, b]) for a in np.linspace(0, 1, points) for b in np.linspace(0, 1, points)]
     made = []
     for number, v in enumerate(cells):
@@ -169,10 +182,10 @@ def landscape(
     count, shape = len(objectives), (points, points)
     values = np.array([[each.excess[i] for each in made] for i in range(count)]).reshape(count, *shape)
     kept = [all(excess <= KEPT for excess in each.excess[count:]) and each.unknown == 0.0 for each in made]
-    first = np.array([box.gains(np.array([a, 0.0]))[names[0]] for a in np.linspace(0, 1, points)])
-    second = np.array([box.gains(np.array([0.0, b]))[names[1]] for b in np.linspace(0, 1, points)])
+    first = np.array([bounds.gains(np.array([a, 0.0]))[names[0]] for a in np.linspace(0, 1, points)])
+    second = np.array([bounds.gains(np.array([0.0, b]))[names[1]] for b in np.linspace(0, 1, points)])
     is_feasible = np.array(kept).reshape(shape)
     marked = {}
     for label, gains in (mark or {}).items():
-        marked[label] = np.array(batch.evaluate(box.place(gains)).excess[:count])
+        marked[label] = np.array(batch.evaluate(bounds.place(gains)).excess[:count])
     return Landscape((names[0], names[1]), (first, second), objectives, constraints, values, is_feasible, marked)

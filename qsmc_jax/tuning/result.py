@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.base.notebook import as_html
-from qsmc_jax.base.short_repr import short_repr
+from qsmc_jax.display.result import AbstractResult
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Evaluation
 from qsmc_jax.tuning.certificate import Certificate
@@ -14,8 +13,8 @@ from qsmc_jax.tuning.objectives import Constraint, Objective
 from qsmc_jax.tuning.result_plots import plot_tuning
 
 
-@dataclasses.dataclass(frozen=True)
-class Tuning:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Tuning(AbstractResult):
     """What `tune` found.
 
     Attributes:
@@ -80,7 +79,7 @@ class Tuning:
     @property
     def simulations(self) -> int:
         """Training simulations; a gradient counts as one for the run and one for each gain."""
-        return self.history[-1].spent
+        return self.history[-1].n_simulations
 
     def conclusion(self) -> str:
         """What is claimed, in a sentence or two that can be quoted."""
@@ -106,7 +105,7 @@ class Tuning:
         columns["objective"] = np.array([row.objective for row in rows])
         for i, constraint in enumerate(self.constraints):
             columns[f"excess of {constraint}"] = np.array([row.excess[i] for row in rows])
-        for name in ("lost", "unknown", "inadmissible", "spent", "start", "attempt"):
+        for name in ("lost", "unknown", "inadmissible", "n_simulations", "start", "attempt"):
             columns[name] = np.array([getattr(row, name) for row in rows])
         return columns
 
@@ -133,9 +132,6 @@ class Tuning:
             },
         }
 
-    def _repr_html_(self) -> str:
-        return as_html(str(self), self.plot)
-
     def plot(self, ax: Any = None) -> Any:
         """Objective, constraints and gains along the search, and the sensitivities at its end.
 
@@ -150,8 +146,6 @@ class Tuning:
     @property
     def _judged(self) -> list[str]:
         return [str(self.objective), *map(str, (constraint.objective for constraint in self.constraints))]
-
-    __repr__ = short_repr
 
     def __str__(self) -> str:
         rows = [f"{len(self.history)} evaluations, {self.simulations} simulations in training, seed {self.seed}"]

@@ -1,19 +1,15 @@
 """Pictures of a search for gains: its course, its sensitivities, its landscape, and the loop before and after."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
-from qsmc_jax.base.scales import spans_decade
-
-if TYPE_CHECKING:
-    from qsmc_jax.tuning.landscape import Landscape
-    from qsmc_jax.tuning.result import Tuning
+from qsmc_jax.display.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
+from qsmc_jax.display.scales import spans_decade
 
 
-def plot_tuning(result: "Tuning", ax: Any = None) -> Any:
+def plot_tuning(result: Any, ax: Any = None) -> Any:
     """Objective, constraints and gains along the search, and the sensitivities at its end.
 
     Args:
@@ -25,14 +21,14 @@ def plot_tuning(result: "Tuning", ax: Any = None) -> Any:
     """
     axes = panels(ax, 4, 2, (12.0, 8.0))
     objective, constraints, gains, sensitivities = axes
-    spent = np.array([each.spent for each in result.history])
+    simulations = np.array([each.n_simulations for each in result.history])
     is_kept = np.array([each.is_feasible for each in result.history])
-    _draw_objective(objective, result, spent, is_kept)
-    _draw_constraints(constraints, result, spent)
+    _draw_objective(objective, result, simulations, is_kept)
+    _draw_constraints(constraints, result, simulations)
     for name, colour in zip(result.parameters, _cycle(len(result.parameters)), strict=True):
         values = np.array([each.gains[name] for each in result.history]) / result.before.gains[name]
         label = f"{name}: {result.before.gains[name]:.4g} -> {result.gains[name]:.4g}"
-        gains.plot(spent, values, ".-", color=colour, lw=0.8, label=label)
+        gains.plot(simulations, values, ".-", color=colour, lw=0.8, label=label)
     gains.axhline(1.0, color=GREY, lw=0.8)
     gains.set(ylabel="gain over the study's own [-]", yscale="log")
     gains.legend(fontsize=8)
@@ -44,12 +40,12 @@ def plot_tuning(result: "Tuning", ax: Any = None) -> Any:
     return axes
 
 
-def _draw_objective(ax: Any, result: "Tuning", spent: np.ndarray, is_kept: np.ndarray) -> None:
+def _draw_objective(ax: Any, result: Any, simulations: np.ndarray, is_kept: np.ndarray) -> None:
     values = np.array([each.objective for each in result.history])
-    ax.plot(spent[is_kept], values[is_kept], "o", color=BLUE, ms=4, label="constraints kept")
-    ax.plot(spent[~is_kept], values[~is_kept], "x", color=RED, ms=5, label="a constraint passed")
+    ax.plot(simulations[is_kept], values[is_kept], "o", color=BLUE, ms=4, label="constraints kept")
+    ax.plot(simulations[~is_kept], values[~is_kept], "x", color=RED, ms=5, label="a constraint violated")
     best = np.minimum.accumulate(np.where(is_kept, values, np.inf))
-    ax.step(spent, np.where(np.isfinite(best), best, np.nan), where="post", color=GREEN, label="best so far")
+    ax.step(simulations, np.where(np.isfinite(best), best, np.nan), where="post", color=GREEN, label="best so far")
     if np.isfinite(result.before.objective):
         ax.axhline(result.before.objective, color=GREY, lw=0.8, label="the study's own gains")
     if result.certificate is not None and np.isfinite(result.certificate.objective):
@@ -58,17 +54,17 @@ def _draw_objective(ax: Any, result: "Tuning", spent: np.ndarray, is_kept: np.nd
     ax.legend(fontsize=8)
 
 
-def _draw_constraints(ax: Any, result: "Tuning", spent: np.ndarray) -> None:
+def _draw_constraints(ax: Any, result: Any, simulations: np.ndarray) -> None:
     for i, constraint in enumerate(result.constraints):
         excess = 100.0 * np.array([each.excess[i] for each in result.history])
-        ax.plot(spent, excess, ".-", color=SERIES[i % len(SERIES)], lw=0.8, label=str(constraint))
+        ax.plot(simulations, excess, ".-", color=SERIES[i % len(SERIES)], lw=0.8, label=str(constraint))
     ax.axhspan(0.0, max(ax.get_ylim()[1], 1.0), color=RED, alpha=0.08, label="passed")
     ax.set_yscale("symlog", linthresh=10.0)
     ax.set(ylabel="excess over the bound [%] (linear within 10)")
     ax.legend(fontsize=8)
 
 
-def _draw_sensitivity(ax: Any, result: "Tuning") -> None:
+def _draw_sensitivity(ax: Any, result: Any) -> None:
     """Grouped bars with their signs: what one percent more of each gain does."""
     judged = [str(result.objective), *(str(constraint.objective) for constraint in result.constraints)]
     width, place = 0.8 / len(result.parameters), np.arange(len(judged))
@@ -83,7 +79,7 @@ def _draw_sensitivity(ax: Any, result: "Tuning") -> None:
     ax.legend(fontsize=8)
 
 
-def plot_contour(made: "Landscape", tuned: "Tuning | None", ax: Any = None) -> Any:
+def plot_contour(made: Any, tuned: Any, ax: Any = None) -> Any:
     """Contours of the objective over two gains, where constraints are kept, the path of a search and what it chose."""
     ax = one_axes(ax, (8.5, 6.5))
     x, y = made.grids
@@ -96,7 +92,7 @@ def plot_contour(made: "Landscape", tuned: "Tuning | None", ax: Any = None) -> A
     filled = ax.contourf(x, y, np.ma.masked_invalid(values), levels=levels, norm=norm, cmap="viridis")
     ax.figure.colorbar(filled, ax=ax, label=str(made.objectives[0]), format="%.3g")
     ax.contourf(x, y, made.is_feasible.T.astype(float), levels=[-0.5, 0.5], colors="white", alpha=0.45, hatches=["//"])
-    ax.plot([], [], "s", color="lightgrey", label="a constraint passed (hatched)")
+    ax.plot([], [], "s", color="lightgrey", label="a constraint violated (hatched)")
     if tuned is not None:
         _draw_search(ax, made.names, tuned)
     for axis, grid in (("x", x), ("y", y)):
@@ -108,7 +104,7 @@ def plot_contour(made: "Landscape", tuned: "Tuning | None", ax: Any = None) -> A
     return ax
 
 
-def _draw_search(ax: Any, names: tuple[str, str], tuned: "Tuning") -> None:
+def _draw_search(ax: Any, names: tuple[str, str], tuned: Any) -> None:
     """The path of a search, the gains it began at, and those it chose, which need not be the best in training."""
     walk = np.array([[each.gains[name] for name in names] for each in tuned.history if each.start >= 0])
     ax.plot(*walk.reshape(-1, 2).T, ".-", color=ORANGE, lw=1.0, label="path of the search")
@@ -118,12 +114,12 @@ def _draw_search(ax: Any, names: tuple[str, str], tuned: "Tuning") -> None:
     ax.plot(*start, "D", color="white", mec="black", label="the study's own gains")
 
 
-def plot_pareto(made: "Landscape", ax: Any = None) -> Any:
+def plot_pareto(made: Any, ax: Any = None) -> Any:
     """The second objective against the first over the grid: passed, dominated and efficient cells."""
     ax = one_axes(ax, (8.5, 6.0))
     points = made.values[:2].reshape(2, -1)
     kept, efficient = made.is_feasible.reshape(-1), made.is_efficient.reshape(-1)
-    ax.plot(*points[:, ~kept], "x", color=RED, ms=4, alpha=0.5, label="a constraint passed")
+    ax.plot(*points[:, ~kept], "x", color=RED, ms=4, alpha=0.5, label="a constraint violated")
     ax.plot(*points[:, kept & ~efficient], "o", color=GREY, ms=4, alpha=0.5, label="dominated")
     front = points[:, efficient]
     front = front[:, np.argsort(front[0])]

@@ -1,4 +1,4 @@
-"""Which runs statistics are over, which of their figures are known, and what a run lost that has none."""
+"""Which runs statistics are over, which of their metrics are known, and what a run lost that has none."""
 
 from collections.abc import Iterable, Mapping
 
@@ -12,7 +12,7 @@ from qsmc_jax.simulation.outcome import Outcome
 LOSS = "loss"
 # What a run loses at least: as far beyond a bound as counts, however late it left.
 BEYOND = 0.01
-# Columns that tell what was lost, besides verdict and outcome.
+# Columns that tell what was lost, in addition to verdict and outcome.
 NEEDED = ("peak_ratio", "violation_time", "end_time")
 
 
@@ -21,7 +21,7 @@ def counted(
 ) -> dict[str, Float[np.ndarray, " admissible"]]:
     """The columns that objectives and constraints are evaluated on, over the admissible runs.
 
-    A figure counts as known if its run was decided and solved to its end. Any other run lost 0.01 and, if it left the
+    A metric counts as known if its run was decided and solved to its end. Any other run lost 0.01 and, if it left the
     funnel or could not be followed further, the part of its horizon that was left; if it went far outside, that.
 
     Args:
@@ -66,16 +66,16 @@ def slopes(
 
 
 def is_unknown(columns: Mapping[str, np.ndarray], metrics: Iterable[str]) -> np.ndarray:
-    """The runs in which one of the figures is not known, (runs,)."""
+    """The runs in which one of the metrics is not known, (runs,)."""
     return ~np.all([np.isfinite(columns[metric]) for metric in metrics], axis=0)
 
 
 def mean_loss(columns: Mapping[str, np.ndarray], metrics: Iterable[str]) -> tuple[float, dict[str, np.ndarray]]:
-    """The mean over all runs of what those lost in which a figure is not known, and its derivative by `LOSS`.
+    """The mean over all runs of what those lost in which a metric is not known, and its derivative by `LOSS`.
 
     Args:
         columns: Columns by name; `LOSS`, if it is among them, as `counted` has it.
-        metrics: The figures.
+        metrics: The metrics.
 
     Returns:
         0 if all are known, 1 if there is no run; and the derivative.
@@ -88,7 +88,7 @@ def mean_loss(columns: Mapping[str, np.ndarray], metrics: Iterable[str]) -> tupl
 
 
 def is_solved_to_its_end(rows: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The runs whose figures are those of the whole horizon, and believed."""
+    """The runs whose metrics are those of the whole horizon, and believed."""
     return (rows["outcome"] == Outcome.COMPLETED) & (rows["verdict"] != Verdict.UNDECIDED)
 
 

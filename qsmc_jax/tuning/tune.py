@@ -12,12 +12,12 @@ from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Batch, Evaluation
-from qsmc_jax.tuning.box import box_of
+from qsmc_jax.tuning.bounds import bounds_of
 from qsmc_jax.tuning.certificate import Certificate, certify, confidence_of
 from qsmc_jax.tuning.descent import Method, Slope, descend
+from qsmc_jax.tuning.gradient_check import check_start, refuse_jumps
 from qsmc_jax.tuning.objectives import Constraint, Objective, parse_constraint, parse_objective
 from qsmc_jax.tuning.result import Tuning
-from qsmc_jax.tuning.trust import check_start, refuse_jumps
 
 # Widths of the smooth maximum, in standard deviations, for one descent after the other from where the last one ended.
 # The maximum as it is comes first: it was as good on fourteen of fifteen sets of training runs, for a third less, and
@@ -25,7 +25,7 @@ from qsmc_jax.tuning.trust import check_start, refuse_jumps
 _EXACT, _ANNEALED = (0.0,), (0.2, 0.0)
 # A design that is not certified is followed by one whose bounds are this part of its own.
 _TIGHTER = 0.9
-# Points to be tried besides where every start loses runs: leaving later is not always on the way to not leaving.
+# Additional points to try where every start loses runs: leaving later is not always on the way to not leaving.
 _WIDER = 16
 
 
@@ -59,11 +59,11 @@ def tune(
     seed that training never saw, certify the candidates; if all fail, everything is done again with new training runs
     and constraints a tenth tighter, and with less of the risk that all designs share.
 
-    Gains are feasible only if every admissible run has the figures that the objective needs: a run that left an ideal
+    Gains are feasible only if every admissible run has the metrics that the objective needs: a run that left an ideal
     loop's funnel, or could not be decided, has none. Such runs lead the search by how soon they left, not by nothing.
 
     Tune a loop as it is implemented: on the ideal one a narrower funnel costs nothing, and rho_inf runs to its bound.
-    Figures of the steady phase start at t_r, which moves with the gains: bound `reach_time` if you use them.
+    Metrics of the steady phase start at t_r, which moves with the gains: bound `reach_time` if you use them.
 
     Args:
         study: The study.
@@ -117,11 +117,11 @@ def tune(
         Claim(certificate_runs, risk, confidence, designs),
     )
     names, objective = tuple(parameters), parse_objective(objective)
-    constraints, box = tuple(map(parse_constraint, subject_to)), box_of(study, names)
+    constraints, bounds = tuple(map(parse_constraint, subject_to)), bounds_of(study, names)
     refuse_jumps(study)
     settings = settings or SolverSettings(adjoint="forward")
-    batch = Batch(study, box, objective, constraints, runs, seed, settings, block, threads, 0, tell)
-    before = check_start(batch, box.point(study))
+    batch = Batch(study, bounds, objective, constraints, runs, seed, settings, block, threads, 0, tell)
+    before = check_start(batch, bounds.point(study))
     batch.allowed = before.inadmissible
     best, chosen, certificates = _designed(batch, search, claim, progress)
     sensitivity = _sensitivity(batch, best)
@@ -243,16 +243,16 @@ def _descended(
     for width in widths:
         descend(Slope(batch, width, number, scale), v, search.method, search.steps, search.tolerance)
         best = min((first, *batch.history[since:]), key=lambda each: each.merit)
-        v = batch.box.place(best.gains)
+        v = batch.bounds.place(best.gains)
     return best
 
 
 def _starts(batch: Batch, count: int) -> list[np.ndarray]:
     """The study's own point, and Sobol points of the unit cube's inner part."""
-    spread = qmc.Sobol(len(batch.box.names), rng=np.random.default_rng(batch.seed)).random_base2(
+    spread = qmc.Sobol(len(batch.bounds.names), rng=np.random.default_rng(batch.seed)).random_base2(
         max(count - 2, 0).bit_length()
     )
-    return [batch.box.point(batch.study), *(0.05 + 0.9 * spread)][:count]
+    return [batch.bounds.point(batch.study), *(0.05 + 0.9 * spread)][:count]
 
 
 def _infeasible(batch: Batch, nearest: Evaluation) -> str:
@@ -260,7 +260,7 @@ def _infeasible(batch: Batch, nearest: Evaluation) -> str:
     gains = ", ".join(f"{name} = {value:.4g}" for name, value in nearest.gains.items())
     lacks = [
         f"`{constraint}` by {100 * lack:.3g} % of its bound" if np.isfinite(lack) else f"`{constraint}`"
-        for constraint, lack in zip(batch.constraints, nearest.lacks, strict=True)
+        for constraint, lack in zip(batch.constraints, nearest.violations, strict=True)
         if not lack <= KEPT
     ]
     if nearest.inadmissible > nearest.allowed:
@@ -279,15 +279,15 @@ def _infeasible(batch: Batch, nearest: Evaluation) -> str:
 
 
 def _sensitivity(batch: Batch, best: Evaluation) -> np.ndarray:
-    """Relative derivatives of objective and constrained figures at the best gains, by relative change of each gain."""
+    """Relative derivatives of objective and constrained metrics at the best gains, by relative change of each gain."""
     constraints, there = batch.constraints, dataclasses.replace(batch, tell=None, history=[])
-    v = batch.box.place(best.gains)
+    v = batch.bounds.place(best.gains)
     made, values, slopes = there.differentiate(v, 0.0, best.start)
     bounds = np.array([constraint.bound for constraint in constraints])
     sides = np.array([constraint.side for constraint in constraints])
     scales = np.abs(np.where(bounds == 0.0, 1.0, bounds)) if len(bounds) else np.empty(0)
     values, slopes = values[:-1], slopes[:-1]
-    figures = np.array([values[0], *(bounds + sides * scales * values[1:])])
-    by_gain = slopes / batch.box.slopes(v) * np.array([1.0, *(sides * scales)])[:, None]
-    x = np.array([made.gains[name] for name in batch.box.names])
-    return by_gain * x / np.where(figures == 0.0, 1.0, figures)[:, None]
+    metrics = np.array([values[0], *(bounds + sides * scales * values[1:])])
+    by_gain = slopes / batch.bounds.slopes(v) * np.array([1.0, *(sides * scales)])[:, None]
+    x = np.array([made.gains[name] for name in batch.bounds.names])
+    return by_gain * x / np.where(metrics == 0.0, 1.0, metrics)[:, None]

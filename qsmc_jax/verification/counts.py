@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from qsmc_jax.metrics.verdict import Verdict
-from qsmc_jax.verification.statistics import clopper_pearson
+from qsmc_jax.statistics.intervals import clopper_pearson
 
 _C = TypeVar("_C", bound="Counts")
 

@@ -11,7 +11,7 @@ from qsmc_jax.metrics.claims import STATEMENTS, margin_column, verdict_column
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.study.runs import Runs, concatenate, replace_rows
-from qsmc_jax.verification.rungs import RUNGS, Rungs
+from qsmc_jax.verification.tiers import TIERS, Tiers
 
 _LOG = logging.getLogger(__name__)
 
@@ -19,54 +19,54 @@ _LOG = logging.getLogger(__name__)
 # tolerance explain, and no more.
 _BREACH_RTOL, _BREACH_ATOL = 1e-2, 1e-6
 
-# Rungs that must say it: a run that HELD is one in which nothing was found, by as many solves as nobody doubts.
+# Tiers that must say it: a run that HELD is one in which nothing was found, by as many solves as nobody doubts.
 _VOICES = {Verdict.HELD: 1, Verdict.VIOLATED: 2, Verdict.INADMISSIBLE: 1}
 
-# Figures of a run that are facts of any solve, whatever another one says.
+# Metrics of a run that are facts of any solve, whatever another one says.
 _FACTS = ("end_time", "least_gain", "largest_disturbance")
 
 
 class Escalation:
-    """Solves doubtful runs again, on up to two firmer rungs, until they agree.
+    """Solves doubtful runs again, on up to two firmer tiers, until they agree.
 
-    A run is VIOLATED if two rungs say so and none that it HELD. Once two rungs disagree, it is decided only by two that
-    share no method (in a sampled loop: no cells) and agree, rung 2 being one of them; else it is UNDECIDED. An
-    UNDECIDED run is solved on until a rung decides it. A peak above what the comparison lemma allows says nothing, and
-    on the last rung is a defect of the simulator. Each claim is decided so on its own, all of them only where the
+    A run is VIOLATED if two tiers say so and none that it HELD. Once two tiers disagree, it is decided only by two that
+    share no method (in a sampled loop: no cells) and agree, tier 2 being one of them; else it is UNDECIDED. An
+    UNDECIDED run is solved on until a tier decides it. A peak above what the comparison lemma allows says nothing, and
+    on the last tier is a defect of the simulator. Each claim is decided so on its own, all of them only where the
     funnel claim is.
 
-    The rows get a column `rung`: the last solve that agrees with what was decided, whose figures they carry.
+    The rows get a column `tier`: the last solve that agrees with what was decided, whose metrics they carry.
 
     Attributes:
-        escalated: How many runs were solved on rung 1, 2.
+        escalated: How many runs were solved on tier 1, 2.
         defects: Indices of runs whose peak stayed above the bound; they are UNDECIDED.
     """
 
-    def __init__(self, solve: Callable[..., Iterator[Runs]], rungs: Rungs, block: int):
+    def __init__(self, solve: Callable[..., Iterator[Runs]], tiers: Tiers, block: int):
         """Nothing solved yet.
 
         Args:
             solve: `stream` of the study, to be called with indices, `settings` and `block`.
-            rungs: Settings of each rung.
+            tiers: Settings of each tier.
             block: Rows to wait for before they are solved again together.
         """
         self.escalated = [0, 0]
         self.defects: list[int] = []
-        self._solve, self._rungs, self._block = solve, rungs, block
+        self._solve, self._tiers, self._block = solve, tiers, block
         self._waiting: list[Runs] = []
 
     def feed(self, table: Runs) -> Iterator[Runs]:
         """Yields the rows that need no second look, and whatever has been decided meanwhile, in no particular order."""
         doubtful = is_open([said(table)], is_near([table]))
         if not doubtful.all():
-            yield _with(table.take(~doubtful), rung=np.zeros(int((~doubtful).sum()), np.int64))
+            yield _with(table.take(~doubtful), tier=np.zeros(int((~doubtful).sum()), np.int64))
         if doubtful.any():
             self._waiting.append(table.take(doubtful))
         if sum(map(len, self._waiting)) >= self._block:
             yield from self.finish()
 
     def finish(self) -> Iterator[Runs]:
-        """Decides the rows still waiting, as far as the rungs can, and yields them."""
+        """Decides the rows still waiting, as far as the tiers can, and yields them."""
         if self._waiting:
             table = concatenate(self._waiting)
             self._waiting = []
@@ -74,13 +74,13 @@ class Escalation:
 
     def _escalate(self, table: Runs) -> Runs:
         tables, verdicts = [table], [said(table)]
-        for rung in range(1, RUNGS):
+        for tier in range(1, TIERS):
             rows = np.flatnonzero(is_open(verdicts, is_near(tables)))
             if not len(rows):
                 break
-            self.escalated[rung - 1] += len(rows)
-            _LOG.info("solving %d doubtful runs again, for the %s time", len(rows), ("first", "second")[rung - 1])
-            again = concatenate(list(self._solve(table["index"][rows], **self._rungs.options(rung))))
+            self.escalated[tier - 1] += len(rows)
+            _LOG.info("solving %d doubtful runs again, for the %s time", len(rows), ("first", "second")[tier - 1])
+            again = concatenate(list(self._solve(table["index"][rows], **self._tiers.options(tier))))
             tables.append(replace_rows(tables[-1], rows, again))
             verdicts.append(np.full_like(verdicts[0], Verdict.UNDECIDED))
             verdicts[-1][:, rows] = said(again)
@@ -96,17 +96,17 @@ def said(table: Runs) -> Int[np.ndarray, "claims rows"]:
 
 
 def agreed(verdicts: Sequence[np.ndarray]) -> Int[np.ndarray, "..."]:
-    """What the rungs so far decide together; UNDECIDED where they don't.
+    """What the tiers so far decide together; UNDECIDED where they don't.
 
     Args:
-        verdicts: Verdicts by rung, from rung 0 on, arrays of one shape; UNDECIDED where a rung was not asked.
+        verdicts: Verdicts by tier, from tier 0 on, arrays of one shape; UNDECIDED where a tier was not asked.
     """
-    by_rung = np.array(verdicts)
-    decided = np.full_like(by_rung[0], Verdict.UNDECIDED)
+    by_tier = np.array(verdicts)
+    decided = np.full_like(by_tier[0], Verdict.UNDECIDED)
     for verdict, voices in _VOICES.items():
-        says = by_rung == verdict
-        is_alone = (says.sum(axis=0) >= voices) & ~_disagree(by_rung)
-        # Rungs 0 and 1 share their method, so that of two that agree against a third one must be rung 2.
+        says = by_tier == verdict
+        is_alone = (says.sum(axis=0) >= voices) & ~_disagree(by_tier)
+        # Tiers 0 and 1 share their method, so that of two that agree against a third one must be tier 2.
         is_double = says[:2].any(axis=0) & says[2:].any(axis=0)
         decided[is_alone | is_double] = verdict
     return decided
@@ -115,13 +115,13 @@ def agreed(verdicts: Sequence[np.ndarray]) -> Int[np.ndarray, "..."]:
 def is_open(
     verdicts: Sequence[Int[np.ndarray, "claims rows"]], near: Bool[np.ndarray, "claims rows"]
 ) -> Bool[np.ndarray, " rows"]:
-    """Rows to be solved on the next rung, if there is one.
+    """Rows to be solved on the next tier, if there is one.
 
     The funnel claim must be decided. The later ones may be UNDECIDED for good, by a horizon that is too short, and are
-    open only where a rung says something that is not yet to be believed, or where they are near.
+    open only where a tier says something that is not yet to be believed, or where they are near.
 
     Args:
-        verdicts: What each rung said so far.
+        verdicts: What each tier said so far.
         near: Where a firmer solve might decide what none has said.
     """
     is_undecided = agreed(verdicts) == Verdict.UNDECIDED
@@ -142,32 +142,32 @@ def breaches_bound(table: Runs) -> Bool[np.ndarray, " rows"]:
     return (table["verdict"] == Verdict.HELD) & (table["least_gain"] > 0.0) & (table["peak_u"] > allowed)
 
 
-def _disagree(by_rung: np.ndarray) -> np.ndarray:
-    """Where two rungs say different things."""
-    return np.sum([(by_rung == verdict).any(axis=0) for verdict in _VOICES], axis=0) > 1
+def _disagree(by_tier: np.ndarray) -> np.ndarray:
+    """Where two tiers say different things."""
+    return np.sum([(by_tier == verdict).any(axis=0) for verdict in _VOICES], axis=0) > 1
 
 
 def _decided(tables: Sequence[Runs], verdicts: Sequence[np.ndarray]) -> Runs:
-    """The rows with what was decided, each with the figures of the last rung that agrees with it."""
+    """The rows with what was decided, each with the metrics of the last tier that agrees with it."""
     decided = agreed(verdicts)
-    rung = np.full(decided.shape[1], len(tables) - 1, np.int64)
+    tier = np.full(decided.shape[1], len(tables) - 1, np.int64)
     for is_wanted in (lambda each: each[0] == decided[0], lambda each: (each == decided).all(axis=0)):
         for number, each in enumerate(verdicts):
-            rung[is_wanted(each)] = number
-    columns = {name: np.choose(rung, [table[name] for table in tables]) for name in tables[0]}
+            tier[is_wanted(each)] = number
+    columns = {name: np.choose(tier, [table[name] for table in tables]) for name in tables[0]}
     disputed = (decided[0] == Verdict.UNDECIDED) & _disagree(np.array(verdicts))[0]
-    rung[disputed] = len(tables) - 1
+    tier[disputed] = len(tables) - 1
     decided[:, disputed] = Verdict.UNDECIDED
     columns.update(zip(map(verdict_column, tables[0].claims), decided, strict=True))
-    return _disowned(_with(tables[0], **columns, rung=rung), disputed)
+    return _disowned(_with(tables[0], **columns, tier=tier), disputed)
 
 
 def _disowned(table: Runs, disputed: Bool[np.ndarray, " rows"]) -> Runs:
-    """The table without the figures of disputed rows, of which no solve is known to be right."""
+    """The table without the metrics of disputed rows, of which no solve is known to be right."""
     columns = {}
     for name, column in table.columns.items():
-        is_figure = np.issubdtype(column.dtype, np.floating) and name not in (*table.names, *_FACTS)
-        columns[name] = np.where(disputed, np.nan, column) if is_figure else column
+        is_metric = np.issubdtype(column.dtype, np.floating) and name not in (*table.names, *_FACTS)
+        columns[name] = np.where(disputed, np.nan, column) if is_metric else column
     columns["outcome"] = np.where(disputed, int(Outcome.SOLVES_DISAGREE), table["outcome"])
     return _with(table, **columns)
 

@@ -14,15 +14,15 @@ from qsmc_jax.metrics.standard import record_of
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.verification.escalation import said
-from qsmc_jax.verification.rungs import RUNGS, Rungs
+from qsmc_jax.verification.tiers import TIERS, Tiers
 
 _LOG = logging.getLogger(__name__)
 
 # Runs that are kept to be solved again. A fault that changes one verdict in 100 is met in 99 % of samples of this size.
 SAMPLE = 512
 
-# Columns that are no metric, besides drawn names and verdicts: what belongs to the solve.
-_NO_METRICS = ("index", "rung", "outcome", "steps")
+# Columns that are not metrics, apart from drawn names and verdicts: they describe the solve.
+_NO_METRICS = ("index", "tier", "outcome", "steps")
 
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 
@@ -115,13 +115,13 @@ class Sample:
         return self._kept
 
 
-def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, dict[str, ClaimCheck]]:
-    """Solves decided rows again, each by the rung that checks the one that decided it, and compares.
+def recheck(rows: Runs, solve: Solve, tiers: Tiers) -> tuple[NumericalError, dict[str, ClaimCheck]]:
+    """Solves decided rows again, each by the tier that checks the one that decided it, and compares.
 
     Args:
-        rows: Rows with their column `rung`; those of one index count once, those without a verdict not at all.
+        rows: Rows with their column `tier`; those of one index count once, those without a verdict not at all.
         solve: `stream` of the study.
-        rungs: Settings of each rung.
+        tiers: Settings of each tier.
 
     Returns:
         All changes, and what the check says of each claim, and of all together.
@@ -130,10 +130,10 @@ def recheck(rows: Runs, solve: Solve, rungs: Rungs) -> tuple[NumericalError, dic
     rows = rows.take(first)
     rows = rows.take((rows["verdict"] == Verdict.HELD) | (rows["verdict"] == Verdict.VIOLATED))
     _LOG.info("solving %d runs another way, as a check", len(rows))
-    parts = [rows.take(rows["rung"] == rung) for rung in range(RUNGS)]
+    parts = [rows.take(rows["tier"] == tier) for tier in range(TIERS)]
     pairs = [
-        (part, concatenate(list(solve(part["index"], **rungs.options(rungs.check_of(rung))))))
-        for rung, part in enumerate(parts)
+        (part, concatenate(list(solve(part["index"], **tiers.options(tiers.check_of(tier))))))
+        for tier, part in enumerate(parts)
         if len(part)
     ]
     if not pairs:

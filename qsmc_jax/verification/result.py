@@ -4,21 +4,23 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from qsmc_jax.base.notebook import as_html
-from qsmc_jax.base.short_repr import short_repr
+import numpy as np
+
+from qsmc_jax.display.notebook import as_html
+from qsmc_jax.display.result import AbstractResult
 from qsmc_jax.metrics.claims import breached, breaching
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.probed import probed_functions, said_of_probed
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.statistics.intervals import runs_needed
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.counts import HEADING, Counts
 from qsmc_jax.verification.numerical_error import NumericalError
 from qsmc_jax.verification.result_plots import plot_margin, plot_verification
-from qsmc_jax.verification.rungs import Rungs
-from qsmc_jax.verification.statistics import runs_needed
 from qsmc_jax.verification.summary import Histogram, Range
+from qsmc_jax.verification.tiers import Tiers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,8 +57,8 @@ def _summary(claim: Claim) -> dict[str, Any]:
     return {**dataclasses.asdict(claim), "verdict": claim.verdict.name}
 
 
-@dataclasses.dataclass(frozen=True)
-class Verification:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Verification(AbstractResult):
     """What `verify` found.
 
     Attributes:
@@ -125,16 +127,16 @@ class Verification:
     @property
     def firmer(self) -> SolverSettings:
         """The settings that the check used: to verify all runs by, where it changed a verdict."""
-        rungs = Rungs.of(self.study, self.settings)
-        return rungs.settings[rungs.check_of(0)]
+        tiers = Tiers.of(self.study, self.settings)
+        return tiers.settings[tiers.check_of(0)]
 
     def settings_of(self, row: Mapping[str, Any]) -> SolverSettings:
         """The settings of the solve that decided a run.
 
         Args:
-            row: Its row, with the column `rung`.
+            row: Its row, with the column `tier`.
         """
-        return Rungs.of(self.study, self.settings).settings[int(row["rung"])]
+        return Tiers.of(self.study, self.settings).settings[int(row["tier"])]
 
     def summary(self) -> Mapping[str, Any]:
         """Everything as plain numbers and texts, ready for JSON."""
@@ -238,6 +240,12 @@ class Verification:
         """
         return plot_verification(self, ax)
 
+    def table(self) -> dict[str, Any]:
+        """The claims as columns, a row a claim: its name, the counts, the interval of its violation, its verdict."""
+        counts = [field.name for field in dataclasses.fields(Counts)]
+        columns = {name: np.array([getattr(claim, name) for claim in self.claims]) for name in ("name", *counts)}
+        return {**columns, "verdict": np.array([claim.verdict.name for claim in self.claims])}
+
     def plan(self, probability: float) -> int:
         """Runs needed, without a violation, to bound the violation probability by `probability` at this confidence.
 
@@ -245,8 +253,6 @@ class Verification:
             probability: What is to be shown, strictly between 0 and 1.
         """
         return runs_needed(probability, self.confidence)
-
-    __repr__ = short_repr
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {self.study.bandwidth:g}"]

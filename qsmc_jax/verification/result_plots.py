@@ -1,22 +1,19 @@
 """Pictures of a verification: the funnel with what the runs do in it, and how much room they leave."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from qsmc_jax.base.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, one_axes, panels
+from qsmc_jax.display.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, one_axes, panels
 from qsmc_jax.study.signals import signals
 from qsmc_jax.verification.summary import Histogram
-
-if TYPE_CHECKING:
-    from qsmc_jax.verification.result import Verification
 
 _BAND_RUNS = 64
 _BAND_TIMES = 1001
 _BANDS = ((0.0, 1.0), (0.05, 0.95), (0.25, 0.75))
 
 
-def plot_verification(result: "Verification", ax: Any = None) -> Any:
+def plot_verification(result: Any, ax: Any = None) -> Any:
     """The funnel with bands of the runs and the worst run, the histogram of the margin, and that of the reach time.
 
     Solves 64 runs and the worst one again to draw them, as one batch.
@@ -37,7 +34,7 @@ def plot_verification(result: "Verification", ax: Any = None) -> Any:
     return axes
 
 
-def plot_margin(result: "Verification", ax: Any = None) -> Any:
+def plot_margin(result: Any, ax: Any = None) -> Any:
     """The histogram of the margin.
 
     Args:
@@ -52,14 +49,14 @@ def plot_margin(result: "Verification", ax: Any = None) -> Any:
     return ax
 
 
-def _funnel(ax: Any, result: "Verification") -> None:
+def _funnel(ax: Any, result: Any) -> None:
     study, eps = result.study, float(result.study.bandwidth)
     ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
     count, row = min(_BAND_RUNS, result.runs), result.worst.row(0)
     drawn = signals(study, [*range(count), row["index"]], result.seed, ts=ts, settings=result.settings)
     worst, sigma = (ts, drawn.sigma[-1], drawn.rho[-1]), drawn.sigma[:-1]
     # Of a program of its own only where it must be: decided by another solve, or longer than the nominal run.
-    if row["rung"] > 0 or row["end_time"] > ts[-1]:
+    if row["tier"] > 0 or row["end_time"] > ts[-1]:
         run = study.replay(row["index"], result.seed, settings=result.settings_of(row))
         worst = run.ts, run.sigma, run.rho
     alive = np.isfinite(sigma).any(axis=0)
@@ -78,7 +75,7 @@ def _funnel(ax: Any, result: "Verification") -> None:
     ax.legend(loc="upper right", fontsize=7)
 
 
-def _margin(ax: Any, histogram: Histogram, result: "Verification") -> None:
+def _margin(ax: Any, histogram: Histogram, result: Any) -> None:
     _bars(ax, histogram)
     least = float(np.nan_to_num(result.worst["margin"][0]))
     ax.axvline(least, color=RED, ls="--", label=f"worst: {least:.3g}")
@@ -86,7 +83,7 @@ def _margin(ax: Any, histogram: Histogram, result: "Verification") -> None:
     ax.legend(loc="best", fontsize=8)
 
 
-def _reach(ax: Any, histogram: Histogram, result: "Verification") -> None:
+def _reach(ax: Any, histogram: Histogram, result: Any) -> None:
     _bars(ax, histogram)
     t_r = _reaching_time(result)
     ax.axvline(t_r, color=ORANGE, ls=":", lw=2.0, label=f"nominal $t_r$ = {t_r:.4g} s")
@@ -94,7 +91,7 @@ def _reach(ax: Any, histogram: Histogram, result: "Verification") -> None:
     ax.legend(loc="best", fontsize=8)
 
 
-def _reaching_time(result: "Verification") -> float:
+def _reaching_time(result: Any) -> float:
     return float(result.study.nominal.loop.control.funnel.reaching_time(result.study.bandwidth))
 
 

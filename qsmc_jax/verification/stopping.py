@@ -5,7 +5,7 @@ import dataclasses
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.metrics.verdict import Verdict
-from qsmc_jax.verification.anytime import confidence_sequence, sequential_test
+from qsmc_jax.statistics.anytime import confidence_sequence, sequential_test
 
 # Runs between two looks of a rule; a run folder, which looks after each of its files, has as many in one.
 LOOK = 32_768

@@ -6,18 +6,18 @@ from collections.abc import Callable
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import Lanes, block_size, thread_count
+from qsmc_jax.study.batches import BatchSolver, block_size, thread_count
 from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.sampling import AbstractSampling, Random, require_seed
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study, require_study
-from qsmc_jax.verification.decided import part_of, through
+from qsmc_jax.verification.accumulate import Cost, VerificationAccumulator, check_request
 from qsmc_jax.verification.escalation import Escalation
-from qsmc_jax.verification.evidence import Effort, Evidence, check_request
+from qsmc_jax.verification.resolve import part_of, through
 from qsmc_jax.verification.result import Verification
-from qsmc_jax.verification.rungs import Rungs
 from qsmc_jax.verification.stopping import LOOK, AbstractRule, decision_of
+from qsmc_jax.verification.tiers import Tiers
 
 Sink = Callable[[Runs], None]
 
@@ -80,24 +80,24 @@ def verify(
     settings, sampling = settings or SolverSettings(), sampling or Random()
     require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
-    lanes = Lanes(study, settings, block)
-    workload, evidence, rungs = Workload(), Evidence(study, worst), Rungs.of(study, settings)
-    escalation = Escalation(solve, rungs, block)
+    solver = BatchSolver(study, settings, block)
+    workload, accumulator, tiers = Workload(), VerificationAccumulator(study, worst), Tiers.of(study, settings)
+    escalation = Escalation(solve, tiers, block)
     decision, look = None, runs if until is None else LOOK
-    with rungs.compiling_check(study, lanes):
-        lanes.compile_nominal()
+    with tiers.compiling_check(study, solver):
+        solver.compile_nominal()
         begin = time.perf_counter()
         for start in range(0, runs, look):
             part = range(start, min(start + look, runs))
             options = {"settings": settings, "workload": workload, "progress": part_of(progress, start, runs)}
             for table in through(escalation, solve(part, **options)):
-                evidence.add(table)
+                accumulator.add(table)
                 if sink is not None:
                     sink(table)
-            decision = decision_of(until, evidence.summary.counts["funnel"], confidence)
+            decision = decision_of(until, accumulator.summary.counts["funnel"], confidence)
             if decision is not None:
                 break
         seconds = time.perf_counter() - begin
-    effort = Effort(tuple(escalation.escalated), tuple(escalation.defects), workload.occupancy, seconds)
+    cost = Cost(tuple(escalation.escalated), tuple(escalation.defects), workload.occupancy, seconds)
     about = {"seed": seed, "confidence": confidence, "settings": settings}
-    return evidence.conclude(solve, effort, **about, is_anytime=until is not None, decision=decision)
+    return accumulator.conclude(solve, cost, **about, is_anytime=until is not None, decision=decision)

@@ -1,6 +1,6 @@
 """What a gradient by two gains costs, in solves of the same runs. One command: see Time.
 
-Question: How much longer than solving 64 runs does it take to solve them with the derivatives of two figures by mu and
+Question: How much longer than solving 64 runs does it take to solve them with the derivatives of two metrics by mu and
     rho_inf?
 Claim: two to three times as long with Tsit5 and for sampled loops, three and a half with Rodas5P, on one core.
 Time: a minute, to be held on one core:
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.simulation.settings import SolverSettings
-from qsmc_jax.study.lanes import Lanes
+from qsmc_jax.study.batches import BatchSolver
 from qsmc_jax.study.sampling import Random
 from qsmc_jax.study.tangents import differentiate
 
@@ -45,7 +45,7 @@ def cost(file: str, method: str) -> tuple[float, float]:
     """Median times of solving, and of solving with derivatives [s]; the two take turns."""
     study = runpy.run_path(str(STUDIES / file))["study"]
     settings = SolverSettings(method=method, adjoint="forward")  # pyright: ignore[reportArgumentType]
-    indices, lanes = np.arange(RUNS), Lanes(study, settings, RUNS)
+    indices, lanes = np.arange(RUNS), BatchSolver(study, settings, RUNS)
     points = Random().points(0, indices, study.dimension)
 
     def solve() -> Any:

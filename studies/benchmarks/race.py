@@ -22,9 +22,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import qsmc_jax as qj
-from qsmc_jax.base.compiled import compiled
 from qsmc_jax.simulation import engine
 from qsmc_jax.study.draw import PointDraw
+from qsmc_jax.tracing.compiled import compiled
 
 RHO_INF = (0.05, 0.005, 0.0005)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -211,8 +211,8 @@ def gradient_cost(runs: int, repeats: int) -> dict[str, float]:
             settings = qj.SolverSettings(rtol, method="tsit5", adjoint="forward")
             made = example1(PointDraw(point, gains))
             x0 = tuple(made.x0)
-            figures, _ = engine.solve(engine.pose(made.loop, x0, 0.1, settings), x0, made.t1, settings)
-            return figures.rms_error + figures.peak_ratio
+            metrics, _ = engine.solve(engine.pose(made.loop, x0, 0.1, settings), x0, made.t1, settings)
+            return metrics.rms_error + metrics.peak_ratio
 
         return jnp.mean(jax.vmap(rms_error)(points))
 

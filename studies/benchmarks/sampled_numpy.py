@@ -1,6 +1,6 @@
 """The sampled loop of Example 1 as a good NumPy programmer writes it: runs side by side in arrays, hold by hold.
 
-Question: how many hold-steps a second, bare (the loop, |sigma|/rho at samples) and full (the figures of every run)?
+Question: how many hold-steps a second, bare (the loop, |sigma|/rho at samples) and full (the metrics of every run)?
 Time: two minutes on two cores. One command: `python studies/benchmarks/sampled_numpy.py`.
 """
 
@@ -155,7 +155,7 @@ def full(draws: dict[str, np.ndarray], holds: int, first_steady: int, is_plain: 
     f["rms_error"] = np.sqrt((f.pop("squares") - 0.5 * fleet.e[0] ** 2) / holds)  # the trapezoidal rule
     f["reach_time"] = np.where(f["reach_time"] >= holds * PERIOD, math.inf, f["reach_time"])
     f["energy_u"] *= PERIOD
-    return f | steady.figures((holds - first_steady) * PERIOD)
+    return f | steady.metrics((holds - first_steady) * PERIOD)
 
 
 def with_turns(y0: np.ndarray, y1: np.ndarray, d0: np.ndarray, d1: np.ndarray, signed: bool = False) -> np.ndarray:
@@ -173,7 +173,7 @@ def with_turns(y0: np.ndarray, y1: np.ndarray, d0: np.ndarray, d1: np.ndarray, s
 
 
 class Steady:
-    """Figures of the input in the steady phase, command by command."""
+    """Metrics of the input in the steady phase, command by command."""
 
     def __init__(self, runs: int):
         """No command yet; the filter is at rest."""
@@ -203,7 +203,7 @@ class Steady:
         self.direction = np.where(turns | (self.direction == 0.0), np.sign(move), self.direction)
         self.extreme = np.where(goes_on | turns, u, self.extreme)
 
-    def figures(self, seconds: float) -> dict[str, np.ndarray]:
+    def metrics(self, seconds: float) -> dict[str, np.ndarray]:
         """By name; NaN if there was no command."""
         named = {"excess_variation_u": self.variation, "peak_rate_u": self.rate / PERIOD}
         if self.is_first:
@@ -229,7 +229,7 @@ def simulate(
     first_steady: int = FIRST_STEADY,
     is_plain: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Figures of so many runs by name, runs along the last axis; `variant` is "full" or "bare".
+    """Metrics of so many runs by name, runs along the last axis; `variant` is "full" or "bare".
 
     Args:
         runs: Number of runs.

@@ -1,7 +1,7 @@
 """How many hold-steps a second, side by side with NumPy. One command: `python studies/benchmarks/sampled_race.py`.
 
-Question: the sampled loop of Example 1, 8192 runs of 10 000 holds, with all figures of every run: how fast against the
-same loop in NumPy, bare (states, and peaks as seen at samples) and with the same figures? The contestants take turns.
+Question: the sampled loop of Example 1, 8192 runs of 10 000 holds, with all metrics of every run: how fast against the
+same loop in NumPy, bare (states, and peaks as seen at samples) and with the same metrics? The contestants take turns.
 Time: six minutes on two cores (`--quick`: one).
 """
 
@@ -46,10 +46,10 @@ def numpys(variant: str, is_plain: bool) -> Callable[[int, int], np.ndarray]:
 
 
 CONTESTANTS = {
-    "qsmc_jax, all figures": ours,
-    "NumPy, all figures": numpys("full", is_plain=True),
+    "qsmc_jax, all metrics": ours,
+    "NumPy, all metrics": numpys("full", is_plain=True),
     "NumPy, bare": numpys("bare", is_plain=True),
-    "NumPy, all figures, sines by tangents": numpys("full", is_plain=False),
+    "NumPy, all metrics, sines by tangents": numpys("full", is_plain=False),
     "NumPy, bare, sines by tangents": numpys("bare", is_plain=False),
 }
 
@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="2048 runs of 2000 holds, once")
     is_quick = parser.parse_args().quick
     speeds = race(2048, 2000, 1) if is_quick else race(8192, 10_000, 3)
-    best = speeds["qsmc_jax, all figures"]
+    best = speeds["qsmc_jax, all metrics"]
     print("| contestant | million hold-steps/s | qsmc_jax is so many times as fast |\n|---|---|---|")
     for name, speed in speeds.items():
         print(f"| {name} | {speed / 1e6:.1f} | {best / speed:.1f} |")

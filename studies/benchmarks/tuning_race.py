@@ -20,10 +20,10 @@ import numpy as np
 from scipy import optimize
 
 import qsmc_jax as qj
-from qsmc_jax.base.plotting import BLUE, GREEN, ORANGE, one_axes
+from qsmc_jax.display.plotting import BLUE, GREEN, ORANGE, one_axes
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.tuning.batch import Batch, Evaluation
-from qsmc_jax.tuning.box import box_of
+from qsmc_jax.tuning.bounds import bounds_of
 from qsmc_jax.tuning.objectives import parse_constraint, parse_objective
 
 FILE = Path(__file__).parents[1] / "example1_implemented.py"
@@ -45,11 +45,11 @@ class Curve:
     """The best so far of one search.
 
     Attributes:
-        spent: Simulations made, after each evaluation.
+        n_simulations: Simulations made, after each evaluation.
         best: The least objective of the feasible points up to there; infinite before the first.
     """
 
-    spent: np.ndarray
+    n_simulations: np.ndarray
     best: np.ndarray
 
     @property
@@ -60,18 +60,18 @@ class Curve:
     def reached(self, target: float) -> float:
         """Simulations after which it is first as good as the target; infinite if never."""
         close = np.isfinite(self.best) & (self.best <= target + CLOSE * abs(target))
-        return float(self.spent[close.argmax()]) if close.any() else np.inf
+        return float(self.n_simulations[close.argmax()]) if close.any() else np.inf
 
-    def at(self, spent: np.ndarray) -> np.ndarray:
+    def at(self, simulations: np.ndarray) -> np.ndarray:
         """The best after so many simulations."""
-        number = np.searchsorted(self.spent, spent, side="right") - 1
+        number = np.searchsorted(self.n_simulations, simulations, side="right") - 1
         return np.where(number < 0, np.inf, self.best[number])
 
 
 def curve(history: Sequence[Evaluation]) -> Curve:
     """Best so far of a history."""
     found = [each.objective if each.is_feasible else np.inf for each in history]
-    return Curve(np.array([each.spent for each in history]), np.minimum.accumulate(found))
+    return Curve(np.array([each.n_simulations for each in history]), np.minimum.accumulate(found))
 
 
 def training_runs(runs: int, seed: int) -> Batch:
@@ -79,7 +79,7 @@ def training_runs(runs: int, seed: int) -> Batch:
     constraints = tuple(map(parse_constraint, SUBJECT_TO))
     settings = SolverSettings(adjoint="forward")
     objective = parse_objective(OBJECTIVE)
-    return Batch(STUDY, box_of(STUDY, NAMES), objective, constraints, runs, seed, settings, None, None, 0, None)
+    return Batch(STUDY, bounds_of(STUDY, NAMES), objective, constraints, runs, seed, settings, None, None, 0, None)
 
 
 def penalised(batch: Batch, scale: float) -> Callable[[Any], float]:
@@ -124,22 +124,22 @@ def race(seed: int, runs: int, budget: int) -> dict[str, Curve]:
     return curves
 
 
-def figures_against(rival: str, curves: dict[str, Curve]) -> list[float]:
-    """Both bests, simulations spent by the rival, those of both until the rival's best, and their ratio."""
+def metrics_against(rival: str, curves: dict[str, Curve]) -> list[float]:
+    """Both bests, simulations made by the rival, those of both until the rival's best, and their ratio."""
     ours, other = curves[OURS], curves[rival]
     theirs, mine = other.reached(other.final), ours.reached(other.final)
-    return [other.final, ours.final, float(other.spent[-1]), theirs, mine, theirs / mine]
+    return [other.final, ours.final, float(other.n_simulations[-1]), theirs, mine, theirs / mine]
 
 
 def print_table(races: dict[int, dict[str, Curve]]) -> None:
     """One line for each rival and seed, and the medians."""
-    print("| rival | seed | its best | our best | it spent | it was there after | we were after | ratio |")
+    print("| rival | seed | its best | our best | its simulations | it was there after | we were after | ratio |")
     print("|---|---|---|---|---|---|---|---|")
     for rival in RIVALS:
-        rows = {str(seed): figures_against(rival, curves) for seed, curves in races.items()}
+        rows = {str(seed): metrics_against(rival, curves) for seed, curves in races.items()}
         rows["median"] = np.median(list(rows.values()), axis=0).tolist()
-        for label, (best, ours, *spent, ratio) in rows.items():
-            counts = " | ".join(f"{each:.0f}" for each in spent)
+        for label, (best, ours, *simulations, ratio) in rows.items():
+            counts = " | ".join(f"{each:.0f}" for each in simulations)
             print(f"| {rival} | {label} | {best:.4f} | {ours:.4f} | {counts} | {ratio:.1f} |")
 
 
@@ -149,12 +149,12 @@ def plot(races: dict[int, dict[str, Curve]]) -> Any:
     for name, colour in COLOURS.items():
         curves = [each[name] for each in races.values()]
         for each in curves:
-            ax.step(each.spent, each.best, where="post", color=colour, alpha=0.35, linewidth=0.8)
-        spent = np.unique(np.concatenate([each.spent for each in curves]))
-        middle = np.median([each.at(spent) for each in curves], axis=0)
-        ax.step(spent, middle, where="post", color=colour, linewidth=2.2, label=f"{name}, median")
+            ax.step(each.n_simulations, each.best, where="post", color=colour, alpha=0.35, linewidth=0.8)
+        simulations = np.unique(np.concatenate([each.n_simulations for each in curves]))
+        middle = np.median([each.at(simulations) for each in curves], axis=0)
+        ax.step(simulations, middle, where="post", color=colour, linewidth=2.2, label=f"{name}, median")
     ax.plot([], [], color="black", alpha=0.35, linewidth=0.8, label="single seeds")
-    ax.set(xscale="log", xlabel="simulations spent [runs]", ylabel="best feasible mean total variation of u [N m]")
+    ax.set(xscale="log", xlabel="simulations [runs]", ylabel="best feasible mean total variation of u [N m]")
     ax.legend()
     return ax
 

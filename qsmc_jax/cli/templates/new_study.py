@@ -62,7 +62,7 @@ def scenario(draw):
     return qj.Scenario(loop, x0=draw.uniform("x0", -0.8, 0.8, shape=(2,)), t1=10.0)
 
 
-# Columns of your own, besides some twenty that every run has: functions of the signals at one instant.
+# Columns of your own, in addition to some twenty that every run has: functions of the signals at one instant.
 overshoot = qj.metrics.Peak("overshoot", lambda s: jnp.abs(s.x[0]) - 1.0, after=3.0, unit="m")
 settling = qj.metrics.LastTime("settling", lambda s: jnp.abs(s.e[0]) - 0.02)
 

@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_finite
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
-from qsmc_jax.base.traceable import once_per_structure, require_number, trace
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.model.kinks import as_times
+from qsmc_jax.tracing.traceable import once_per_structure, require_number, trace
 
 
 class AbstractDisturbance(AbstractModule):
@@ -45,7 +45,7 @@ class AbstractDisturbance(AbstractModule):
     # NumPy scalars would otherwise try to multiply by the object entry by entry, and never ask `__rmul__`.
     __array_ufunc__: ClassVar[None] = None
 
-    remedy: ClassVar[str] = "Use one of `qj.disturbances`, or derive from `qj.AbstractDisturbance`."
+    hint: ClassVar[str] = "Use one of `qj.disturbances`, or derive from `qj.AbstractDisturbance`."
 
     def __check_init__(self):
         require_fields(self)

@@ -1,0 +1,1 @@
+"""Pictures, notebooks and short texts of results."""

@@ -1,0 +1,1 @@
+"""Ranges of functions by interval arithmetic on their programs."""

@@ -1,0 +1,250 @@
+"""Results as files of numbers and texts: nothing in one is ever run."""
+
+import dataclasses
+import enum
+import importlib
+import io
+import json
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from qsmc_jax.base.atomic import write_whole
+from qsmc_jax.base.checks import require, show
+from qsmc_jax.base.errors import InputError
+from qsmc_jax.campaign.folder import RunFolder
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.metric import AbstractMeasure
+from qsmc_jax.metrics.record import Record
+from qsmc_jax.metrics.standard import catalogue
+from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.study import Study
+
+# The file of a result in a folder that a command wrote.
+RESULT = "result.npz"
+_FORMAT = 1
+_OURS = "qsmc_jax."
+_NEEDED = "Give the study, or the loop, that it is of: `qj.load(path, of=study)`. Code is not kept in files."
+
+
+def save(result: Any, path: str | Path) -> None:
+    """Writes a result to one file, from which `load` makes it again.
+
+    Numbers keep all their digits. A study and classes of your own are code, which is not written: `load` asks for them.
+
+    Args:
+        result: Runs, a trajectory, a verification, a map, or whatever else this package returns as a result.
+        path: The file; one that exists is replaced.
+
+    Raises:
+        InputError: It is no result, or the file can't be written.
+
+    Examples:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import qsmc_jax as qj
+        >>> run = qj.simulate(qj.paper.example1(), [0.9, 0.9], t1=2.0, bandwidth=0.1)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     qj.save(run, Path(folder) / "run.npz")
+        ...     again = qj.load(Path(folder) / "run.npz")
+        >>> again.verdict.name, bool((again.x == run.x).all())
+        ('HELD', True)
+    """
+    write_whole(Path(path), as_bytes(result))
+
+
+def as_bytes(result: Any) -> bytes:
+    """The content of the file of a result.
+
+    Args:
+        result: The result.
+
+    Raises:
+        InputError: It is no result of this package.
+    """
+    is_ours = dataclasses.is_dataclass(result) and type(result).__module__.startswith(_OURS)
+    require(is_ours, f"Argument `result` must be a result of qsmc_jax, but is a `{type(result).__name__}`.")
+    arrays: list[np.ndarray] = []
+    content = {"format": _FORMAT, "result": _encoded(result, arrays)}
+    file = io.BytesIO()
+    np.savez_compressed(file, content=np.array(json.dumps(content)), **{f"a{i}": a for i, a in enumerate(arrays)})
+    return file.getvalue()
+
+
+def load(path: str | Path, of: Study | ClosedLoop | None = None) -> Any:
+    """Reads what `save` or the option `--out` of a command wrote.
+
+    Args:
+        path: A file of `save`, or a folder of `--out`. That of `qsmc verify` gives its rows so far, as `Runs`.
+        of: The study of the result, or the loop of a trajectory; needed where it holds one, or classes of your own.
+
+    Returns:
+        The result.
+
+    Raises:
+        InputError: There is no result, it is damaged or of a newer version, or `of` is missing or another.
+
+    Examples:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import qsmc_jax as qj
+        >>> def scenario(draw):
+        ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+        >>> study = qj.Study(scenario, bandwidth=0.1)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     qj.save(study.replay(3), Path(folder) / "run.npz")
+        ...     again = qj.load(Path(folder) / "run.npz", of=study)
+        >>> again
+        <Trajectory: Trajectory to t = 2 s in 40 steps: funnel HELD, reaching HELD, tracking UNDECIDED>
+    """
+    path = Path(path)
+    if path.is_dir() and (path / "manifest.json").exists():
+        return _rows(RunFolder.open(path))
+    file = path / RESULT if path.is_dir() else path
+    require(file.is_file(), f"Argument `path` must be a result or a folder with one, but there is no `{file}`.")
+    try:
+        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as found:
+            arrays = {name: found[name] for name in found.files}
+        content = json.loads(str(arrays.pop("content")))
+        made_by = content["format"]
+        require(made_by == _FORMAT, f"File `{file}` has format {made_by}, but this version reads {_FORMAT}.")
+        return _Reader(arrays, of, {cls.__qualname__: cls for cls in _classes_in(of)}).decoded(content["result"])
+    except InputError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError, OSError, ImportError, zipfile.BadZipFile) as error:
+        raise InputError(f"File `{file}` is no result of `qj.save`, or damaged: {error}.") from None
+
+
+def _rows(folder: RunFolder) -> Runs:
+    tables = list(folder.tables())
+    require(len(tables) > 0, f"Folder `{folder.path}` has no rows yet.")
+    records = {}
+    for field in folder.schema():
+        about = {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
+        if field.name not in catalogue():
+            records[field.name] = Record(field.name, about.get("description", ""), about.get("unit", ""))
+    return dataclasses.replace(concatenate(tables), records=records)
+
+
+def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:
+    """A value as JSON; arrays stand in the list, by their number."""
+    if value is None or isinstance(value, bool | str) or (type(value) is int):
+        return value
+    if isinstance(value, enum.Enum):
+        return {"enum": _name(type(value)), "value": value.name}
+    if type(value) is float:
+        return {"float": value.hex()}
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        arrays.append(np.asarray(value))
+        return {"scalar" if isinstance(value, np.generic) else "array": f"a{len(arrays) - 1}"}
+    if isinstance(value, Study):
+        values = {name: _encoded(each, arrays) for name, each in value.values.items()}
+        return {"study": value.contents, "bandwidth": float(value.bandwidth).hex(), "values": {"map": values}}
+    if isinstance(value, AbstractMeasure):
+        return {"measure": value.name}
+    if isinstance(value, Mapping):
+        return {"map": {str(name): _encoded(each, arrays) for name, each in value.items()}}
+    if isinstance(value, list | tuple):
+        return {type(value).__name__ if type(value) is list else "tuple": [_encoded(each, arrays) for each in value]}
+    require(dataclasses.is_dataclass(value), f"A `{type(value).__name__}` in a result can't be written: {show(value)}.")
+    fields = {field.name: _encoded(getattr(value, field.name), arrays) for field in dataclasses.fields(value)}
+    return {"class": _name(type(value)), "fields": fields}
+
+
+def _name(cls: type) -> str:
+    return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def _classes_in(of: Any) -> Iterator[type]:
+    """The classes that a study or a loop is made of."""
+    of = of.nominal.loop if isinstance(of, Study) else of
+    if isinstance(of, list | tuple):
+        for each in of:
+            yield from _classes_in(each)
+    elif dataclasses.is_dataclass(of):
+        yield type(of)
+        for field in dataclasses.fields(of):
+            yield from _classes_in(getattr(of, field.name))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Reader:
+    """Makes values again.
+
+    Attributes:
+        arrays: Arrays by name.
+        of: The study or the loop that was given.
+        own: The classes in it, by name.
+    """
+
+    arrays: Mapping[str, np.ndarray]
+    of: Study | ClosedLoop | None
+    own: Mapping[str, type]
+
+    def decoded(self, value: Any) -> Any:
+        """A value of its JSON."""
+        if not isinstance(value, dict):
+            return value
+        kind, content = next(iter(value.items()))
+        match kind:
+            case "float":
+                return float.fromhex(content)
+            case "array":
+                return self.arrays[content]
+            case "scalar":
+                return self.arrays[content][()]
+            case "map":
+                return {name: self.decoded(each) for name, each in content.items()}
+            case "list" | "tuple":
+                return (list if kind == "list" else tuple)(map(self.decoded, content))
+        return getattr(self, f"_{kind}")(**value)
+
+    def _enum(self, enum: str, value: str) -> Any:
+        return self._named(enum)[value]
+
+    def _measure(self, measure: str) -> AbstractMeasure:
+        """A metric or a requirement of the study that was given."""
+        known = self.of.measures if isinstance(self.of, Study) else ()
+        found = [each for each in known if each.name == measure]
+        require(len(found) == 1, f"The result has the study's own metric `{measure}`. {_NEEDED}")
+        return found[0]
+
+    def _class(self, fields: Mapping[str, Any], **named: str) -> Any:
+        """What a class is of: as it was, without its constructor, which takes what a user writes."""
+        name = named["class"]
+        cls = self._named(name)
+        require({field.name for field in dataclasses.fields(cls)} == set(fields), _unknown(name))
+        made = object.__new__(cls)
+        for field, each in fields.items():
+            object.__setattr__(made, field, self.decoded(each))
+        return made
+
+    def _study(self, study: Any, bandwidth: str, values: Mapping[str, Any]) -> Study:
+        """The study that was given, if it is the one, with the values of the result's."""
+        require(isinstance(self.of, Study), f"The result is of a study. {_NEEDED}")
+        given: Any = self.of
+        wanted, width = {tuple(each) for each in study}, float.fromhex(bandwidth)
+        differ = sorted({part for part, _ in wanted ^ set(given.contents)})
+        require(not differ, f"Argument `of` must be the study of the result, but differs in: {', '.join(differ)}.")
+        is_same = float(given.bandwidth) == width
+        require(is_same, f"Argument `of` must have the bandwidth {width!r}, but has {float(given.bandwidth)!r}.")
+        return given.substitute(**self.decoded(values))
+
+    def _named(self, name: str) -> Any:
+        """A class of the package, or one of the study's own; no other module is ever imported."""
+        module, _, cls = name.partition(":")
+        if module.startswith(_OURS):
+            found = getattr(importlib.import_module(module), cls, None)
+            is_known = isinstance(found, type) and found.__module__ == module
+            require(is_known and (dataclasses.is_dataclass(found) or issubclass(found, enum.Enum)), _unknown(name))
+            return found
+        require(cls in self.own, f"The result holds a `{cls}`, a class of your own. {_NEEDED}")
+        return self.own[cls]
+
+
+def _unknown(name: str) -> str:
+    return f"The result holds a `{name}`, which this version doesn't know. Read it with the version that wrote it."

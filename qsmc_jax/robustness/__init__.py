@@ -1,0 +1,1 @@
+"""Where the guarantee breaks: maps, critical values, comparisons, limits."""

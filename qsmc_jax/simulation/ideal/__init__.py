@@ -1,0 +1,1 @@
+"""The loop in continuous time, in the funnel coordinate."""

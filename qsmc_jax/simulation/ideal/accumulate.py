@@ -1,0 +1,180 @@
+"""Metrics kept up step by step inside the solve: suprema, integrals, times, and how the premises fared.
+
+They are read off each accepted step's own cubic Hermite interpolant, so nothing hides between the points of a save
+grid, and they ride along in the integrated state, with no say in the step size, so that gradients reach them.
+"""
+
+import functools as ft
+import itertools as it
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.accumulate import States, first_states
+from qsmc_jax.metrics.accumulate import add_step as add_own
+from qsmc_jax.numerics import pytrees
+from qsmc_jax.numerics.gudermann import sinh_cosh
+from qsmc_jax.numerics.hermite import Cubic, Quartic, cubics, integral_of_square
+from qsmc_jax.simulation.ideal.step import IdealStep, Step, as_scalars, no_step
+from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.spans import OutsideStep, Span
+
+# Gauss-Lobatto rule with four nodes on [0, 1], exact for polynomials of degree 5: the ends and 1/2 -+ 1/(2 sqrt 5).
+_LOBATTO_NODES = (0.5 - 0.1 * 5**0.5, 0.5 + 0.1 * 5**0.5)
+_LOBATTO_END, _LOBATTO_INNER = 1.0 / 12.0, 5.0 / 12.0
+
+
+class Peak(AbstractModule):
+    """The peak of |s|: its height, its time [s] and the coordinates there."""
+
+    height: RealScalarLike
+    time: RealScalarLike
+    y: Scalars
+
+
+class RunningMetrics(AbstractModule):
+    """The running metrics of one run, all scalars; see `Metrics` for what becomes of them.
+
+    `u` and `gain` are |u| and the gain, times its sign, at the end of the last step; `unsettled` is the last step in
+    which an error reached its bound.
+    """
+
+    errors: Scalars
+    u: RealScalarLike
+    peak: Peak
+    outside: OutsideStep
+    unsettled: Span
+    peak_errors: Scalars
+    total_variation: RealScalarLike
+    energy: RealScalarLike
+    squared_error: RealScalarLike
+    gain: RealScalarLike
+    least_gain: RealScalarLike
+    largest_disturbance: RealScalarLike
+    own: States
+
+
+class _End(AbstractModule):
+    """What the metrics need at one end of a step: errors e^(0) ... e^(n), sigma and s with their rates, u = sinh s."""
+
+    errors: Scalars
+    sigma: RealScalarLike
+    sigma_rate: RealScalarLike
+    s: RealScalarLike
+    s_rate: RealScalarLike
+    u: RealScalarLike
+
+
+def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
+    """The metrics at time 0."""
+    loop, zero = problem.loop, jnp.zeros(())
+    x0 = problem.coordinates.state(loop, zero, y0)
+    s0 = problem.coordinates.funnel_coordinate(loop, zero, y0)
+    gain = jnp.asarray(loop.control.gain_sign * loop.plant.gain(zero, x0))
+    return RunningMetrics(
+        errors=as_scalars(loop.errors(zero, x0)),
+        u=sinh_cosh(s0)[0],
+        peak=Peak(jnp.abs(s0), zero, as_scalars(y0)),
+        outside=OutsideStep(zero, zero, Cubic(zero, zero, zero, zero)),
+        unsettled=Span(zero, zero),
+        peak_errors=(zero,) * loop.order,
+        total_variation=zero,
+        energy=zero,
+        squared_error=zero,
+        gain=gain,
+        least_gain=gain,
+        largest_disturbance=jnp.asarray(jnp.abs(loop.disturbance(zero))),
+        own=first_states(problem.measures, IdealStep(no_step(y0), problem)),
+    )
+
+
+def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMetrics:
+    """The metrics after one more step."""
+    loop, t1, h = problem.loop, step.t1, step.t1 - step.t0
+    u1 = sinh_cosh(problem.coordinates.funnel_coordinate(loop, t1, step.y1))[0]
+    errors = problem.coordinates.errors(loop, t1, step.y1, step.derivative)
+    left = _end(problem, step.t0, running.errors, running.u, step.y0, step.dy0)
+    right = _end(problem, t1, errors, u1, step.y1, step.dy1)
+    s = Cubic(left.s, right.s, h * left.s_rate, h * right.s_rate)
+    sigma = Cubic(left.sigma, right.sigma, h * left.sigma_rate, h * right.sigma_rate)
+    steady_from = jnp.clip((problem.reaching_time - step.t0) / jnp.where(h > 0.0, h, 1.0), 0.0, 1.0)
+    heights = problem.barrier(tuple(cubic.largest(steady_from) for cubic in _error_cubics(left, right, h)))
+    sigma_height = problem.barrier(sigma.largest())
+    exceeds = problem.barrier.claim(_exceeds(problem, heights, left.errors))
+    peak = _peak(problem, step, s)
+    gain, disturbance = _premises(loop, t1, right.errors)
+    return RunningMetrics(
+        errors=as_scalars(right.errors[:-1]),
+        u=u1,
+        peak=pytrees.where(peak.height > running.peak.height, peak, running.peak),
+        outside=pytrees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), running.outside),
+        unsettled=pytrees.where(exceeds, Span(step.t0, t1), running.unsettled),
+        peak_errors=pytrees.where(
+            t1 > problem.reaching_time, tuple(map(jnp.maximum, heights, running.peak_errors)), running.peak_errors
+        ),
+        total_variation=running.total_variation + _variation_of_input(left.u, s.stations()[1:-1], right.u),
+        energy=running.energy + h * _mean_square_of_input(left.u, s, right.u),
+        squared_error=running.squared_error + integral_of_square(h, left.errors[:2], right.errors[:2]),
+        gain=jnp.asarray(gain),
+        least_gain=jnp.minimum(running.least_gain, gain),
+        largest_disturbance=jnp.maximum(running.largest_disturbance, disturbance),
+        own=add_own(problem.measures, running.own, IdealStep(step, problem)),
+    )
+
+
+def _peak(problem: Problem, step: Step, s: Cubic) -> Peak:
+    """The peak of |s| in the step, by the quartic through its ends and its middle."""
+    h = step.t1 - step.t0
+    middle = problem.coordinates.funnel_coordinate(problem.loop, step.t0 + 0.5 * h, step.middle)
+    theta, height = problem.barrier(Quartic(s, middle).highest())
+    y = tuple(cubic(theta) for cubic in cubics(h, step.y0, step.y1, step.dy0, step.dy1))
+    return Peak(height, step.t0 + theta * h, y)
+
+
+def _end(problem: Problem, t: RealScalarLike, errors: Scalars, u: RealScalarLike, y: Scalars, dy: Scalars) -> _End:
+    """One end of a step. The rate of sigma, and so e^(n), follows from that of s: right on either side of a jump."""
+    surface = problem.loop.control.surface
+    rho, rho_rate = problem.loop.control.funnel.width_and_rate(t)
+    s, s_rate = problem.coordinates.funnel_motion(problem.loop, t, y, dy)
+    sigma, cosh = surface(errors), jnp.sqrt(1.0 + u * u)
+    sigma_rate = (2.0 / jnp.pi * rho * s_rate) / cosh + sigma * rho_rate / rho
+    last = sigma_rate - surface((*errors[1:], 0.0))
+    return _End((*errors, last), sigma, sigma_rate, s, s_rate, u)
+
+
+def _premises(loop: ClosedLoop, t: RealScalarLike, errors: Scalars) -> tuple[RealScalarLike, RealScalarLike]:
+    """gain_sign * g, which should be positive, and |d|, which should not exceed its bound."""
+    x = loop.state(errors[:-1], loop.desired(t))
+    return loop.control.gain_sign * loop.plant.gain(t, x), jnp.abs(loop.disturbance(t))
+
+
+def _error_cubics(left: _End, right: _End, h: RealScalarLike) -> list[Cubic]:
+    """Each error in the step; the slope of one is the value of the next."""
+    return cubics(h, left.errors[:-1], right.errors[:-1], left.errors[1:], right.errors[1:])
+
+
+def _exceeds(problem: Problem, heights: Scalars, left: Scalars) -> Bool[Array, ""]:
+    """Whether any error reaches its bound at the start of the step, or in it (before t_r: at its ends)."""
+    reaches = [
+        (height >= bound) | (jnp.abs(start) >= bound)
+        for height, start, bound in zip(heights, left, problem.error_bounds, strict=False)
+    ]
+    return jnp.asarray(ft.reduce(jnp.logical_or, reaches))
+
+
+def _variation_of_input(u0: RealScalarLike, turns: Scalars, u1: RealScalarLike) -> RealScalarLike:
+    """The total variation of |u| = sinh s over the step: u is monotone between the turning points of s.
+
+    No step is so long that the method would chatter (see `GuardedSolver`), which would be summed here.
+    """
+    inputs = [u0, *(sinh_cosh(s)[0] for s in turns), u1]
+    return sum(jnp.abs(b - a) for a, b in it.pairwise(inputs))
+
+
+def _mean_square_of_input(u0: RealScalarLike, s: Cubic, u1: RealScalarLike) -> RealScalarLike:
+    """By Lobatto's rule on s, since u can be exponential in time where s is straight."""
+    inner = sum(sinh_cosh(s(node))[0] ** 2 for node in _LOBATTO_NODES)
+    return _LOBATTO_END * (u0**2 + u1**2) + _LOBATTO_INNER * inner

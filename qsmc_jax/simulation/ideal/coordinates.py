@@ -1,0 +1,135 @@
+"""The coordinates in which a loop is integrated: the funnel coordinate, and the physical states as a cross-check."""
+
+import abc
+
+import jax.numpy as jnp
+
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.numerics.gudermann import funnel_coordinate, gd, sinh_cosh
+from qsmc_jax.simulation.settings import SolverSettings
+
+
+class AbstractCoordinates(AbstractModule):
+    """A way to write the loop's state as n scalars `y`."""
+
+    @abc.abstractmethod
+    def start(self, loop: ClosedLoop, x0: State) -> Scalars:
+        """The coordinates of the state `x0` at time 0, which must lie inside the funnel."""
+
+    @abc.abstractmethod
+    def state(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> Scalars:
+        """The physical state."""
+
+    @abc.abstractmethod
+    def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
+        """The derivative of `y`."""
+
+    @abc.abstractmethod
+    def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
+        """The errors e^(0) ... e^(n-1), given `y` and its derivative `dy`."""
+
+    @abc.abstractmethod
+    def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
+        """The funnel coordinate s."""
+
+    @abc.abstractmethod
+    def funnel_motion(
+        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
+    ) -> tuple[RealScalarLike, RealScalarLike]:
+        """The funnel coordinate s and its derivative, given `y` and `dy`."""
+
+    @abc.abstractmethod
+    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
+        """The error that one step may make in each coordinate, whose size is given: the relative part, the absolute."""
+
+
+class FunnelCoordinates(AbstractCoordinates):
+    r"""$y = (e^{(0)}, \dots, e^{(n-2)}, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$.
+
+    In it the law is $u = -\operatorname{sgn}(g) \sinh s$ and
+    $\dot s = \cosh s \, [\frac{\pi}{2\rho} (w + g u) - \operatorname{gd}(s) \dot\rho / \rho]$, smooth everywhere: no
+    pole to step over, and a loop that leaves the funnel shows as $|s| \to \infty$ in finite time. It is the same
+    equation, not a way to enforce the claim.
+
+    Source: paper, eqs. (4) and (9), transformed.
+    """
+
+    def start(self, loop: ClosedLoop, x0: State) -> Scalars:
+        ratio = loop.sliding_variable(0.0, x0) / loop.control.funnel(0.0)
+        return (*loop.errors(0.0, x0)[:-1], funnel_coordinate(ratio))
+
+    def state(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> Scalars:
+        return loop.state(_errors(loop, loop.control.funnel(t), y), loop.desired(t))
+
+    def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
+        control = loop.control
+        rho, rho_rate = control.funnel.width_and_rate(t)
+        errors = _errors(loop, rho, y)
+        sinh, cosh = sinh_cosh(y[-1])
+        balance = loop.balance(t, errors, loop.desired(t))
+        sigma_rate = balance.residual - balance.gain * control.gain_sign * sinh
+        return (*errors[1:], cosh * (0.5 * jnp.pi * sigma_rate - gd(y[-1]) * rho_rate) / rho)
+
+    def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
+        """Each error is the derivative of the one before."""
+        return (y[0], *dy[:-1]) if loop.order > 1 else _errors(loop, loop.control.funnel(t), y)
+
+    def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
+        return y[-1]
+
+    def funnel_motion(
+        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
+    ) -> tuple[RealScalarLike, RealScalarLike]:
+        return y[-1], dy[-1]
+
+    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
+        absolute = (*(settings.atol,) * (len(size) - 1), settings.funnel_atol)
+        return tuple(settings.rtol * each for each in size), absolute
+
+
+class PhysicalCoordinates(AbstractCoordinates):
+    """`y = x`. The law is NaN outside the funnel, so a step with a stage out there is never kept."""
+
+    def start(self, loop: ClosedLoop, x0: State) -> Scalars:
+        return tuple(x0)
+
+    def state(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> Scalars:
+        return tuple(y)
+
+    def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
+        return loop.vector_field(t, y)
+
+    def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
+        return loop.errors(t, y)
+
+    def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
+        return funnel_coordinate(loop.sliding_variable(t, y) / loop.control.funnel(t))
+
+    def funnel_motion(
+        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
+    ) -> tuple[RealScalarLike, RealScalarLike]:
+        desired = loop.desired(t)
+        errors = tuple(yi - di for yi, di in zip(y, desired, strict=False))
+        rates = tuple(dyi - di for dyi, di in zip(dy, desired[1:], strict=True))
+        surface, (rho, rho_rate) = loop.control.surface, loop.control.funnel.width_and_rate(t)
+        ratio = surface(errors) / rho
+        s = funnel_coordinate(ratio)
+        ratio_rate = (surface(rates) - ratio * rho_rate) / rho
+        return s, 0.5 * jnp.pi * sinh_cosh(s)[1] * ratio_rate
+
+    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
+        """A tenth of what is asked for: near the funnel's edge an error of the state is magnified in the input."""
+        return tuple(0.1 * settings.rtol * each for each in size), (0.1 * settings.atol,) * len(size)
+
+
+def _errors(loop: ClosedLoop, rho: RealScalarLike, y: State) -> Scalars:
+    """The errors from the funnel coordinate: the last is what the others leave of sigma."""
+    others = loop.control.surface((*y[:-1], 0.0))
+    return (*y[:-1], 2.0 / jnp.pi * rho * gd(y[-1]) - others)
+
+
+def named_coordinates(name: str) -> AbstractCoordinates:
+    """The coordinates that `SolverSettings.coordinates` names."""
+    return {"funnel": FunnelCoordinates, "physical": PhysicalCoordinates}[name]()

@@ -1,0 +1,152 @@
+"""The solver of the closed loop: a diffrax method, a guard, and the running."""
+
+import functools as ft
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.enclosures.unseen import Step as Stretch
+from qsmc_jax.numerics import pytrees
+from qsmc_jax.simulation.guard import hidden
+from qsmc_jax.simulation.ideal.accumulate import RunningMetrics, add_step
+from qsmc_jax.simulation.ideal.step import Step
+from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.settings import INSTANT, SolverSettings, absolute_tolerance
+from qsmc_jax.solvers.rosenbrock import Rosenbrock
+from qsmc_jax.solvers.tsit5 import Tsit5, derivative_at_start
+
+# |s| at which a run ends: 1 - |sigma|/rho = 1e-13, an input of 5e12. Only a loop whose input does not push back gets
+# there.
+ESCAPE = 30.0
+# |s| beyond which a candidate step is refused rather than kept: cosh(s) sinh(s) stays far from overflow.
+FARTHEST = 2.0 * ESCAPE
+# Largest decay in a step of the explicit method: there it damps a deviation by half or better, and never alternates.
+_STABLE = 3.3
+# Power by which a step beyond it counts as an error.
+_STABLE_STEEPNESS = 8
+
+
+class Run(eqx.Module):
+    """The integrated state: coordinates `y`, which the method advances, and the running, which rides along."""
+
+    y: Scalars
+    running: RunningMetrics
+
+
+class StepError(eqx.Module):
+    """What is wrong with a step, in units of what is tolerated: its local error, and what it may hide."""
+
+    local: RealScalarLike
+    hidden: RealScalarLike
+
+
+class _RunInterpolation(dfx.AbstractLocalInterpolation):
+    """The method's own interpolant for `y`; the running is that of the step's end."""
+
+    inner: dfx.AbstractLocalInterpolation
+    running: RunningMetrics
+
+    @property
+    def t0(self) -> RealScalarLike:
+        return self.inner.t0
+
+    @property
+    def t1(self) -> RealScalarLike:
+        return self.inner.t1
+
+    def evaluate(self, t0: RealScalarLike, t1: RealScalarLike | None = None, left: bool = True) -> Run:
+        return Run(self.inner.evaluate(t0, t1, left), self.running)
+
+
+class GuardedSolver(dfx.AbstractAdaptiveSolver):
+    """Advances `y` by `method`, refuses what is not finite or too far out, and brings the running up to date.
+
+    A refused candidate reports an infinite error and the old state. diffrax alone turns an infinite candidate into a
+    NaN step factor, and tries the same step for ever (0.7.2). The method must be one whose solver state is the
+    derivative at the start of its next step, and whose dense output is quartic: `Tsit5` or `Rosenbrock`. Errors are
+    reported in units of what is tolerated, so that the step size controller has to hold them below 1.
+
+    Attributes:
+        method: The method.
+        settings: The tolerances.
+    """
+
+    method: Tsit5 | Rosenbrock
+    settings: SolverSettings
+
+    term_structure: ClassVar = dfx.AbstractTerm
+
+    @property
+    def interpolation_cls(  # pyright: ignore[reportIncompatibleMethodOverride]  # diffrax's own wrapping solvers do so too
+        self,
+    ) -> Callable[..., _RunInterpolation]:
+        def interpolation(
+            *, t0: RealScalarLike, t1: RealScalarLike, inner: Any, running: RunningMetrics
+        ) -> _RunInterpolation:
+            return _RunInterpolation(inner=self.method.interpolation_cls(t0=t0, t1=t1, **inner), running=running)
+
+        return interpolation
+
+    def order(self, terms: Any) -> int | None:
+        return self.method.order(terms)
+
+    def func(self, terms: Any, t0: RealScalarLike, y0: Run, args: Problem) -> Run:
+        return Run(_field(t0, y0.y, args), pytrees.zeros_like(y0.running))
+
+    def init(self, terms: Any, t0: RealScalarLike, t1: RealScalarLike, y0: Run, args: Problem) -> Any:
+        return self.method.init(_TERM, t0, t1, y0.y, args)
+
+    def step(
+        self,
+        terms: Any,
+        t0: RealScalarLike,
+        t1: RealScalarLike,
+        y0: Run,
+        args: Problem,
+        solver_state: Any,
+        made_jump: Any,
+    ) -> tuple[Run, StepError, dict[str, Any], Any, dfx.RESULTS]:
+        rate0 = derivative_at_start(_TERM, t0, y0.y, args, solver_state, made_jump)
+        y1, error, dense, rate1, result = self.method.step(_TERM, t0, t1, y0.y, args, rate0, False)
+        s1 = args.coordinates.funnel_coordinate(args.loop, t1, y1)
+        is_sound = pytrees.is_finite((y1, error, rate1)) & (jnp.abs(s1) <= FARTHEST)
+        kept1, rate1 = pytrees.where(is_sound, (y1, rate1), (y0.y, rate0))
+        running = _ADD_STEP(args, y0.running, Step(t0, t1, **{**dense, "y1": kept1}, derivative=rate1))
+        moved = tuple(INSTANT * t1 * (jnp.abs(a) + jnp.abs(b)) for a, b in zip(rate0, rate1, strict=True))
+        local = self._in_tolerances(args, error, y0.y, kept1, running.peak.height, moved)
+        if not isinstance(self.method, Rosenbrock):
+            local = jnp.maximum(local, (_decay(args, t0, t1, running) / _STABLE) ** _STABLE_STEEPNESS)
+        step, ys = Stretch(t0, t1, self.method.nodes), (y0.y, dense["middle"], y1)
+        unseen = hidden(args, step, ys, (jnp.abs(y0.running.u), jnp.abs(running.u)), self.settings.rtol)
+        y1, error = kept1, StepError(jnp.where(is_sound, local, jnp.inf), unseen)
+        has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
+        result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
+        return Run(y1, running), error, {"inner": dense, "running": running}, rate1, result
+
+    def _in_tolerances(
+        self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars, peak: RealScalarLike, moved: Scalars
+    ) -> RealScalarLike:
+        """The largest error, in units of what is tolerated."""
+        size = tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(y0, y1, strict=True))
+        parts = zip(error, moved, *problem.coordinates.tolerances(size, self.settings), strict=True)
+        return ft.reduce(jnp.maximum, [jnp.abs(e) / (r + absolute_tolerance(a, peak, m)) for e, m, r, a in parts])
+
+
+@eqx.filter_jit  # so that its many calls in a step are traced once
+def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
+    return problem.barrier(problem.coordinates.vector_field(t, y, problem.loop))
+
+
+def _decay(problem: Problem, t0: RealScalarLike, t1: RealScalarLike, end: RunningMetrics) -> RealScalarLike:
+    r"""By how much a deviation of s decays within a step, $h |g| \frac{\pi}{2\rho} \cosh 2s$ [-], by its end."""
+    rate = jnp.abs(end.gain) * (0.5 * jnp.pi) * (1.0 + 2.0 * end.u**2) / problem.loop.control.funnel(t1)
+    return jax.lax.stop_gradient((t1 - t0) * rate)
+
+
+_TERM = dfx.ODETerm(_field)
+_ADD_STEP = eqx.filter_jit(add_step)  # for the same reason: diffrax traces a step three times

@@ -1,0 +1,193 @@
+"""From the end of a solve to what a user reads: outcome, verdict per claim, and the metrics of one run."""
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.accumulate import read_states
+from qsmc_jax.metrics.metric import Extent
+from qsmc_jax.metrics.standard import Metrics
+from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.model.unseen import is_consistent
+from qsmc_jax.numerics.gudermann import margin, ratio, sinh_cosh
+from qsmc_jax.simulation.ideal.accumulate import Peak
+from qsmc_jax.simulation.ideal.guarded_solver import Run
+from qsmc_jax.simulation.ideal.step import IdealStep, no_step
+from qsmc_jax.simulation.ideal.step_size import UNRESOLVED
+from qsmc_jax.simulation.judge import first_to_apply, is_refused, later_verdicts
+from qsmc_jax.simulation.outcome import Outcome
+from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.spans import is_since, last_outside
+
+# An instant, relative to the time: some ten thousand units in its last place.
+_IMMINENT = 1e-12
+# By what part of their size signals may be wrong, over the square root of the relative tolerance.
+_RESOLUTION = 0.02
+# Soon, also relative to the time: a run at the funnel's edge is outside if the gain is gone within it.
+_SOON = 1e-10
+
+
+class FinalState(AbstractModule):
+    """What the solver hands over: whether the run was admissible, the horizon, and where and how the solve stopped."""
+
+    refused: Int[Array, ""]
+    horizon: Float[Array, ""]
+    end_time: Float[Array, ""]
+    run: Run
+    result: dfx.RESULTS
+    first_height: RealScalarLike
+    steps: Int[Array, ""]
+
+
+def read_metrics(problem: Problem, final: FinalState) -> Metrics:
+    """Outcome first, then the verdicts, then the metrics: those of an unfinished run are masked."""
+    running = final.run.running
+    outcome, peak = _outcome(problem, final), running.peak
+    reach_time = last_outside(running.outside, problem.bandwidth, final.end_time)
+    settle_time = jnp.where(running.unsettled.end >= final.end_time, jnp.inf, running.unsettled.end)
+    verdict, reaching, tracking = _verdicts(problem, outcome, final, reach_time, settle_time)
+    is_complete, resolution = outcome == Outcome.COMPLETED, _RESOLUTION * jnp.sqrt(problem.rtol)
+    extent = Extent(final.end_time, final.horizon, is_complete, ~is_refused(outcome), resolution)
+    has_left = outcome == Outcome.LEFT_FUNNEL
+    is_steady = is_complete & (final.end_time > problem.reaching_time)
+
+    def known(value: RealScalarLike, where_left: RealScalarLike = jnp.nan) -> Float[Array, ""]:
+        return jnp.where(is_complete, value, jnp.where(has_left, where_left, jnp.nan))
+
+    return Metrics(
+        verdict=verdict,
+        verdict_reaching=reaching,
+        verdict_tracking=tracking,
+        outcome=outcome,
+        end_time=final.end_time,
+        peak_ratio=known(ratio(peak.height), 1.0),
+        margin=known(margin(peak.height), 0.0),
+        peak_time=known(peak.time, final.end_time),
+        peak_u=known(sinh_cosh(peak.height)[0], jnp.inf),
+        peak_u_bound=known(_comparison_bound(problem, peak, final.first_height)),
+        reach_time=known(reach_time, jnp.inf),
+        violation_time=known(jnp.inf, _escape_time(problem, final, has_left)),
+        settle_time=known(settle_time, jnp.inf),
+        peak_errors=tuple(jnp.where(is_steady, peak, jnp.nan) for peak in running.peak_errors),
+        rms_error=known(jnp.sqrt(running.squared_error / jnp.where(is_complete, final.end_time, 1.0))),
+        energy_u=known(running.energy),
+        total_variation_u=known(running.total_variation),
+        least_gain=running.least_gain,
+        largest_disturbance=running.largest_disturbance,
+        steps=final.steps,
+        own=read_states(problem.measures, running.own, IdealStep(no_step(final.run.y), problem), extent),
+    )
+
+
+def _outcome(problem: Problem, final: FinalState) -> Int[Array, ""]:
+    """The code of how the solve ended; leaving the funnel is distinguished from a solve that failed near its edge."""
+    result = final.result
+    is_stuck = (result == dfx.RESULTS.dt_min_reached) | (result == UNRESOLVED)
+    is_far = result == dfx.RESULTS.event_occurred
+    leaves = (is_stuck | is_far) & _is_leaving(problem, final, is_far)
+    cases = (
+        (result == dfx.RESULTS.successful, Outcome.COMPLETED),
+        (leaves | (is_stuck & _is_thrown_out(problem, final)), Outcome.LEFT_FUNNEL),
+        (is_far, Outcome.BEYOND_RESOLUTION),
+        (result == UNRESOLVED, Outcome.UNRESOLVED),
+        (is_stuck, Outcome.STEP_TOO_SMALL),
+    )
+    return first_to_apply(final.refused, cases, Outcome.MAX_STEPS)
+
+
+def _escape_time(problem: Problem, final: FinalState, has_left: Bool[Array, ""]) -> RealScalarLike:
+    r"""The end of a run that left, with its derivative $-\partial_p s / \dot s$, s and its speed those at the end.
+
+    The times of the steps have none; but a run ends where s, not the time, has a given value.
+    """
+    t, y = final.end_time, final.run.y
+    dy = problem.coordinates.vector_field(t, y, problem.loop)
+    # Where it did not leave s may be anything: not even zero times its derivative is to be had.
+    s, s_rate = (jnp.where(has_left, each, 1.0) for each in problem.coordinates.funnel_motion(problem.loop, t, y, dy))
+    return t - (s - jax.lax.stop_gradient(s)) / jax.lax.stop_gradient(s_rate)
+
+
+def _is_leaving(problem: Problem, final: FinalState, is_far: BoolScalarLike) -> BoolScalarLike:
+    r"""Whether $|s| \to \infty$ within an instant: outward, that fast, and with an input that does not push back.
+
+    At speed $|\dot s|$ what is left to the edge, $\approx e^{-|s|}$ of the funnel, is gone after about $1 / |\dot s|$.
+    An instant is twice that for a run that is followed to where the edge is no longer resolved; for one that stopped
+    before, since its steps had become as short as time resolves, it is some thousands of these.
+    """
+    loop, t, y = problem.loop, final.end_time, final.run.y
+    dy = problem.coordinates.vector_field(t, y, loop)
+    s, s_rate = problem.coordinates.funnel_motion(loop, t, y, dy)
+    speed = jnp.abs(s_rate)
+    left = 2.0 / jnp.where(speed > 0.0, speed, 1.0)
+    instant = jnp.where(is_far, left, _IMMINENT * t)
+    x = problem.coordinates.state(loop, t, y)
+    pushes_back = _pushes_back(loop, t, x) & _pushes_back(loop, t + instant, _moved(x, instant))
+    is_fast = (s * s_rate > 0.0) & (speed * instant > 1.0)
+    # A run that the input holds at the edge until the gain is gone creeps there, at a speed that rounding decides.
+    soon, pull = _SOON * t, loop.balance(t, loop.errors(t, x), loop.desired(t)).residual
+    is_carried_out = (s * pull > 0.0) & (margin(s) * loop.control.funnel(t) <= jnp.abs(pull) * soon)
+    return (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, _moved(x, soon)))
+
+
+def _pushes_back(loop: ClosedLoop, t: RealScalarLike, x: Scalars) -> BoolScalarLike:
+    return jnp.asarray(loop.control.gain_sign * loop.plant.gain(t, x) > 0.0)
+
+
+def _moved(x: Scalars, dt: RealScalarLike) -> Scalars:
+    """The state a moment later, as far as it is a chain of integrators."""
+    return tuple(xi + dt * xj for xi, xj in zip(x, (*x[1:], 0.0), strict=True))
+
+
+def _is_thrown_out(problem: Problem, final: FinalState) -> BoolScalarLike:
+    """Whether the reference jumps where the run stopped, so far that the sliding variable is outside afterwards."""
+    if is_consistent(problem.loop.reference):
+        return jnp.array(False)
+    loop, t, s = problem.loop, final.end_time, problem.coordinates.funnel_coordinate
+    within = _IMMINENT * t
+    before, after = loop.desired(t - within), loop.desired(t + within)
+    jump = loop.control.surface(tuple(a - b for a, b in zip(before[:-1], after[:-1], strict=True)))
+    rho = loop.control.funnel(t)
+    return jnp.abs(rho * ratio(s(loop, t, final.run.y)) + jump) >= rho
+
+
+def _verdicts(
+    problem: Problem,
+    outcome: Int[Array, ""],
+    final: FinalState,
+    reach_time: RealScalarLike,
+    settle_time: RealScalarLike,
+) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
+    """The verdicts on the three claims of Theorem 1. Later claims need the earlier ones, and C2.
+
+    A step that has t_s inside counts for tracking by its end alone: what exceeds a bound there begins the next step.
+    """
+    funnel = jnp.where(outcome == Outcome.COMPLETED, int(Verdict.HELD), int(Verdict.UNDECIDED))
+    funnel = jnp.where(outcome == Outcome.LEFT_FUNNEL, int(Verdict.VIOLATED), funnel)
+    funnel = jnp.where(is_refused(outcome), int(Verdict.INADMISSIBLE), funnel)
+    # A run that is still outside where the horizon ends before t_r has broken nothing yet.
+    is_late = (reach_time >= problem.reaching_time) & (final.horizon > problem.reaching_time)
+    is_broken = jnp.asarray(is_late), is_since(final.run.running.unsettled, problem.settling_time)
+    later = later_verdicts(problem, final.horizon, is_broken, (jnp.array(True), jnp.isfinite(settle_time)))
+    admits = problem.loop.control.funnel.admits(problem.bandwidth)
+    is_open = (funnel == Verdict.HELD) | ~admits
+    reaching, tracking = (jnp.where(is_open, verdict, funnel) for verdict in later)
+    return funnel, reaching, tracking
+
+
+def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike) -> Float[Array, ""]:
+    r"""The bound $\max(|u(0)|, (|w| + \mu(\rho - \rho_\infty)) / |g|)$ on sup|u|, with w, g, rho as at the peak.
+
+    Where |z| = |sigma|/rho peaks after the start its derivative is not negative outwards, so
+    $\tan(\pi |z| / 2) \le (|w| + |\dot\rho|) / |g|$ there: sharper than the supremum over time, and it needs no search.
+    Source: the step "contradiction" in the proof of Theorem 1, made quantitative.
+    """
+    loop, t = problem.loop, peak.time
+    balance = loop.balance(t, loop.errors(t, problem.coordinates.state(loop, t, peak.y)), loop.desired(t))
+    _, rho_rate = loop.control.funnel.width_and_rate(t)
+    gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
+    at_peak = (jnp.abs(balance.residual) + jnp.abs(rho_rate)) / jnp.abs(gain)
+    return jnp.maximum(sinh_cosh(first_height)[0], jnp.where(balance.gain == 0.0, jnp.inf, at_peak))

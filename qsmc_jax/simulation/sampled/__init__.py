@@ -1,0 +1,1 @@
+"""The loop with an implementation, from event to event."""

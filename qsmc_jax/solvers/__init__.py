@@ -1,0 +1,1 @@
+"""Solution methods for one step of an ODE; they know no loop."""

@@ -1,0 +1,1 @@
+"""Exact intervals and sequential tests; they know no loop."""

@@ -1,0 +1,1 @@
+"""What JAX traced: programs read, rewritten, compiled, told apart."""

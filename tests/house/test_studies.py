@@ -1,0 +1,55 @@
+"""Every study in studies/ runs and comes out as its docstring claims; the paper's from all their starts."""
+
+import runpy
+
+import numpy as np
+import pytest
+
+import places
+import qsmc_jax as qj
+from qsmc_jax.report.paper_table import as_text, rows, simulate_example
+
+STUDIES = places.STUDIES
+CLAIMED = {
+    "paper_example1": qj.Verdict.HELD,
+    "wrong_gain_sign": qj.Verdict.VIOLATED,
+}
+LONG = {
+    "duffing": qj.Verdict.HELD,
+    "cooling": qj.Verdict.HELD,
+    "example1_implemented": qj.Verdict.HELD,
+    "paper_example2": qj.Verdict.HELD,
+    "example1_uncertain": qj.Verdict.HELD,
+    "example2_uncertain": qj.Verdict.HELD,
+    "example2_implemented": qj.Verdict.HELD,
+    "example1_tuned": qj.Verdict.HELD,
+    "example2_tuned": qj.Verdict.HELD,
+}
+COMPARED = {"controllers_compared"}
+
+
+def run(name):
+    """64 runs of a study."""
+    study = runpy.run_path(str(STUDIES / f"{name}.py"))["study"]
+    return qj.monte_carlo(study, 64, block=64)
+
+
+def test_every_study_is_tried():
+    assert {path.stem for path in STUDIES.glob("*.py")} == {*CLAIMED, *LONG, *COMPARED}
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [*CLAIMED.items(), *(pytest.param(*item, marks=pytest.mark.slow) for item in LONG.items())],
+    ids=[*CLAIMED, *LONG],
+)
+def test_a_study_comes_out_as_it_claims(name, verdict):
+    runs = run(name)
+    assert np.all(runs["verdict"] == verdict)
+    assert len(runs.names) > 0
+
+
+def test_the_paper_table_is_met_for_example_1():
+    table = rows(1, simulate_example(1))
+    assert all(row.is_met for row in table)
+    assert "0.725089" in as_text(table)  # oracles: .725089072754182 from (.1, .1)
