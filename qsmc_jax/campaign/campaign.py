@@ -136,7 +136,7 @@ def run_campaign(
                 )
                 if progress is not None:
                     progress(done, runs)
-                decision = decision_of(until, accumulator.summary.counts["funnel"], confidence)
+                decision = decision_of(until, accumulator.summary.headline, confidence)
                 if decision is not None:
                     break
         state = "done" if decision is not None or accumulator.runs >= runs else "interrupted"

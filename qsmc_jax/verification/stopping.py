@@ -28,10 +28,10 @@ class AbstractRule(abc.ABC):
 
     @abc.abstractmethod
     def decision(self, violated: int, undecided: int, total: int, confidence: float) -> str | None:
-        """What can be said of the funnel claim, or None while it is to go on.
+        """What can be said, or None while more runs are needed. Of the funnel claim; with requirements, of all claims.
 
         Args:
-            violated: Runs that left the funnel.
+            violated: Runs that left the funnel, or violated any claim.
             undecided: Runs without a verdict.
             total: Runs so far, without the inadmissible.
             confidence: Confidence of what is said.
@@ -127,7 +127,7 @@ class SequentialTest(AbstractRule):
 
 
 def decision_of(rule: AbstractRule | None, counts: dict[Verdict, int], confidence: float) -> str | None:
-    """What the rule says of the counts of the funnel claim; None without a rule.
+    """What the rule says of the counts of the funnel claim, or of all claims together; None without a rule.
 
     Args:
         rule: The rule, or None.

@@ -121,12 +121,18 @@ class Summary:
         """
         self.ranges = tuple(map(Range, records))
         self.counts = {claim: dict.fromkeys(Verdict, 0) for claim in (*claims, TOGETHER)}
+        self._headline = "funnel" if set(self.counts) == {*STATEMENTS, TOGETHER} else TOGETHER
         self.worst: list[Runs] = []
         self.margin = Histogram.over(0.0, 1.0)
         self.reach = Histogram.over(0.0, longest_reach)
         self.steps = 0
         self.peak_u = 0.0
         self._keep = worst
+
+    @property
+    def headline(self) -> dict[Verdict, int]:
+        """The counts that the conclusion and stopping rules are about: with requirements, of all claims together."""
+        return self.counts[self._headline]
 
     def add(self, table: Runs) -> None:
         """Takes a table in."""

@@ -94,7 +94,7 @@ def verify(
                 accumulator.add(table)
                 if sink is not None:
                     sink(table)
-            decision = decision_of(until, accumulator.summary.counts["funnel"], confidence)
+            decision = decision_of(until, accumulator.summary.headline, confidence)
             if decision is not None:
                 break
         seconds = time.perf_counter() - begin

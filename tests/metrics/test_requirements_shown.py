@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import qsmc_jax as qj
+from falling_funnel import falling
 from qsmc_jax.cli.main import app
 
 VIOLATED = qj.Verdict.VIOLATED
@@ -92,3 +93,12 @@ def test_maps_searches_and_tuning_know_them():
     ):
         qj.tune(study, ["mu"], "mean(reach_time)", subject_to=["worst(margin_upward) >= 0"], **options)
     assert kept["margin_upward"].min() >= -0.6 - 1e-6
+
+
+@pytest.mark.parametrize(("limit", "side"), [(0.3, "above"), pytest.param(0.5, "at most", marks=pytest.mark.slow)])
+def test_a_stopping_rule_looks_at_requirements_too(limit, side):
+    """x0 is uniform in (0.2, 0.4), and no run leaves its funnel: one limit breaks in half of the runs, one in none."""
+    study = qj.Study(falling, 0.3, requirements={"start": qj.always(lambda s: limit - s.x[0], before=1e-6)})
+    found = qj.verify(study, 512, block=64, until=qj.stopping.UntilBelow(0.1))
+    assert found.claims[0].violated == 0
+    assert found.decision == f"the violation probability is {side} 0.1"
