@@ -1,12 +1,14 @@
 """Two campaigns side by side: what was asked of each, what each found, and where they differ run by run."""
 
 import dataclasses
+import itertools as it
 from typing import Any
 
 import numpy as np
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.campaign.folder import RunFolder
+from qsmc_jax.metrics.claims import verdict_column
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import Runs, concatenate
 
@@ -21,16 +23,16 @@ class CampaignDifference:
     Attributes:
         places: The two folders.
         changes: What decides the rows, where it differs: both values by name.
-        verdicts: Runs with each funnel verdict, by its name, in either.
+        verdicts: Runs with each verdict, by claim and by its name, in either.
         paired: Runs held against each other; 0 where seed or drawn numbers differ.
-        changed: The first runs whose funnel verdict differs.
+        changed: The first runs whose verdict differs on a claim that both have.
         changed_count: How many there are.
         margin_change: 5 %, 50 % and 95 % quantile of the second's margin less the first's.
     """
 
     places: tuple[str, str]
     changes: dict[str, tuple[Any, Any]]
-    verdicts: tuple[dict[str, int], dict[str, int]]
+    verdicts: tuple[dict[str, dict[str, int]], dict[str, dict[str, int]]]
     paired: int
     changed: tuple[int, ...]
     changed_count: int
@@ -43,9 +45,14 @@ class CampaignDifference:
     def __str__(self) -> str:
         lines = [f"A: {self.places[0]}", f"B: {self.places[1]}", "Differences of what was asked:"]
         lines += [f"  {name}: {first} / {second}" for name, (first, second) in self.changes.items()] or ["  none"]
-        lines.append(f"{'':14}{'A':>12}{'B':>12}")
-        for name in self.verdicts[0]:
-            lines.append(f"{name:14}" + "".join(f"{each[name]:12d}" for each in self.verdicts))
+        claims = dict.fromkeys((*self.verdicts[0], *self.verdicts[1]))
+        width = max(14, *(len(claim) + 14 for claim in claims))
+        lines.append(f"{'':{width}}{'A':>12}{'B':>12}")
+        for claim, verdict in it.product(claims, Verdict):
+            counts = [each.get(claim, {}).get(verdict.name) for each in self.verdicts]
+            if any(counts):
+                shown = "".join(f"{'-' if count is None else count:>12}" for count in counts)
+                lines.append(f"{f'{claim} {verdict.name}':{width}}{shown}")
         if not self.paired:
             return "\n".join([*lines, "Not the same draws: nothing to hold against each other run by run."])
         more = ", ..." if self.changed_count > _LISTED else ""
@@ -91,7 +98,8 @@ def difference(first: RunFolder, second: RunFolder) -> CampaignDifference:
     shared = ("index", *_random(a.names, changes))
     is_same = a.names == b.names and all(np.array_equal(a[name], b[name]) for name in shared)
     paired = count if is_same and asked[0]["seed"] == asked[1]["seed"] else 0
-    rows = np.flatnonzero(a["verdict"][:paired] != b["verdict"][:paired])
+    shared_claims = [verdict_column(claim) for claim in a.claims if claim in b.claims]
+    rows = np.flatnonzero(np.any([a[name][:paired] != b[name][:paired] for name in shared_claims], axis=0))
     change = (b["margin"] - a["margin"])[:paired]
     known = change[np.isfinite(change)]
     low, middle, high = np.quantile(known, (0.05, 0.5, 0.95)).tolist() if len(known) else [float("nan")] * 3
@@ -112,12 +120,15 @@ def _random(columns: tuple[str, ...], changes: dict[str, tuple[Any, Any]]) -> li
     return [column for column in columns if column.partition("[")[0] not in fixed]
 
 
-def _counts(folder: RunFolder) -> dict[str, int]:
-    total = dict.fromkeys(Verdict, 0)
+def _counts(folder: RunFolder) -> dict[str, dict[str, int]]:
+    """Runs with each verdict, by claim."""
+    total: dict[str, dict[str, int]] = {}
     for table in folder.tables():
-        for verdict, count in table.counts().items():
-            total[verdict] += count
-    return {verdict.name: count for verdict, count in total.items()}
+        for claim in table.claims:
+            counts = total.setdefault(claim, {verdict.name: 0 for verdict in Verdict})
+            for verdict, count in table.counts(claim).items():
+                counts[verdict.name] += count
+    return total
 
 
 def _head(folder: RunFolder) -> Runs:

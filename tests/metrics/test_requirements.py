@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import sys
 
 import equinox as eqx
@@ -298,7 +299,7 @@ def measured():
 
 
 def test_a_replay_agrees_only_in_every_claim(tmp_path):
-    """The row of a verdict that another program wrote."""
+    """The row of a verdict that another program wrote; and two campaigns that differ in a requirement alone."""
     study = measured()
     config = qj.campaign.CampaignConfig(study, source=b"study = ...", block=64)
     folder = qj.campaign.prepare(tmp_path / "run", config)
@@ -310,6 +311,15 @@ def test_a_replay_agrees_only_in_every_claim(tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_row", lambda *_: {**row, "verdict_small": int(VIOLATED)})
         assert not qj.campaign.replay(folder, config, index=3, worst=None).agrees
+    other, rows = qj.campaign.RunFolder.open(folder.path), next(iter(folder.tables()))
+    flipped = np.where(np.isin(rows["index"], [3, 9]), int(VIOLATED), rows["verdict_small"])
+    with pytest.MonkeyPatch.context() as patch:
+        changed = dataclasses.replace(rows, columns={**rows.columns, "verdict_small": flipped})
+        patch.setattr(type(other), "tables", lambda self, *_: iter([changed if self is other else rows]))
+        found = qj.campaign.difference(folder, other)
+    assert (found.changed, found.changed_count) == ((3, 9), 2)
+    assert [each["small"]["VIOLATED"] for each in found.verdicts] == [0, 2]
+    assert re.search(r"small VIOLATED +0 +2\n", str(found))
     with pytest.raises(qj.InputError, match="Did you mean `small`"):
         qj.campaign.replay(folder, config, index=None, worst=1, of="smaller")
     with pytest.raises(qj.InputError, match="it needs `--worst`"):
