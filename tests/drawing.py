@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 
 def draws_in_given_axes(plot, count=1):
-    """Gives axes of a metric of its own to a picture: they come back with labels and content, and nothing around them.
+    """Gives axes of a figure of its own to a picture: they come back with labels and content, and nothing around them.
 
     Returns:
         The axes; for one panel it alone.

@@ -25,7 +25,7 @@ EXTRAS = 5  # states after those of plant and actuator: two of the filter, integ
 Run = collections.namedtuple("Run", "times commands trajectory metrics")  # times and commands: of the samples
 Sample = collections.namedtuple("Sample", "k t period sigma rho desired")  # what a law is given
 Metrics = collections.namedtuple(
-    "Figures",  # those of the steady phase are NaN if there is none
+    "Metrics",  # those of the steady phase are NaN if there is none
     "peak_ratio peak_excess violation_time recovery_time reach_time peak_u total_variation_u energy_u rms_error "
     "peak_errors excess_variation_u peak_rate_u reversal_rate high_frequency_ratio",
 )

@@ -64,7 +64,7 @@ class CampaignDifference:
 
 
 def difference(first: RunFolder, second: RunFolder) -> CampaignDifference:
-    """Reads both folders; rows with equal index and equal draws are held against each other.
+    """Reads both folders; if the first rows of both have equal indices and draws, they are held against each other.
 
     Args:
         first: One campaign.

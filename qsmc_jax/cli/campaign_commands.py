@@ -71,6 +71,7 @@ def show_run(
             with ResultFolder(out) as result:
                 result.add_json("run.json", numbers)
                 result.add_table("signals.parquet", again.trajectory.columns())
+                result.add_result(again.trajectory)
                 result.add_picture("run.png", again.trajectory.plot)
                 result.commit()
             if not as_json:

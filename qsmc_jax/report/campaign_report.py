@@ -25,7 +25,8 @@ from qsmc_jax.verification.result import Verification
 _PICTURES = {
     "verification.png": "The funnel with bands of the first runs and the worst one; how much room the runs leave; when "
     "they come to the bandwidth for good.",
-    "sensitivity.png": "Sensitivity of the margin to drawn numbers: Spearman's rank correlation, and the strongest.",
+    "sensitivity.png": "Sensitivity of the margin to drawn numbers: Spearman's rank "
+    "correlation, and the margin against the strongest three.",
 }
 
 

@@ -5,7 +5,6 @@ import enum
 import importlib
 import io
 import json
-import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from qsmc_jax.base.errors import InputError
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
-from qsmc_jax.metrics.record import Record
+from qsmc_jax.metrics.record import Record, without_index
 from qsmc_jax.metrics.standard import catalogue
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study
@@ -34,14 +33,15 @@ _NEEDED = "Give the study, or the loop, that it is of: `qj.load(path, of=study)`
 def save(result: Any, path: str | Path) -> None:
     """Writes a result to one file, from which `load` makes it again.
 
-    Numbers keep all their digits. A study and classes of your own are code, which is not written: `load` asks for them.
+    Numbers keep all their digits. A study, functions and classes of your own are code, which is not written: `load`
+    asks for them.
 
     Args:
         result: Runs, a trajectory, a verification, a map, or whatever else this package returns as a result.
         path: The file; one that exists is replaced.
 
     Raises:
-        InputError: It is no result, or the file can't be written.
+        InputError: It is no result, or the file can't be written; nothing is left behind.
 
     Examples:
         >>> import tempfile
@@ -54,7 +54,10 @@ def save(result: Any, path: str | Path) -> None:
         >>> again.verdict.name, bool((again.x == run.x).all())
         ('HELD', True)
     """
-    write_whole(Path(path), as_bytes(result))
+    path = Path(path)
+    is_place = bool(path.name) and path.parent.is_dir() and not path.is_dir()
+    require(is_place, f"Argument `path` must be a file in a folder that exists, but is `{path}`.")
+    write_whole(path, as_bytes(result))
 
 
 def as_bytes(result: Any) -> bytes:
@@ -69,7 +72,7 @@ def as_bytes(result: Any) -> bytes:
     is_ours = dataclasses.is_dataclass(result) and type(result).__module__.startswith(_OURS)
     require(is_ours, f"Argument `result` must be a result of qsmc_jax, but is a `{type(result).__name__}`.")
     arrays: list[np.ndarray] = []
-    content = {"format": _FORMAT, "result": _encoded(result, arrays)}
+    content = {"format": _FORMAT, "result": _encoded(result, arrays, ())}
     file = io.BytesIO()
     np.savez_compressed(file, content=np.array(json.dumps(content)), **{f"a{i}": a for i, a in enumerate(arrays)})
     return file.getvalue()
@@ -80,13 +83,14 @@ def load(path: str | Path, of: Study | ClosedLoop | None = None) -> Any:
 
     Args:
         path: A file of `save`, or a folder of `--out`. That of `qsmc verify` gives its rows so far, as `Runs`.
-        of: The study of the result, or the loop of a trajectory; needed where it holds one, or classes of your own.
+        of: The study of the result, or the loop of a trajectory; needed where it holds one, or code of your own. Of a
+            trajectory it is not checked that this code is what it was.
 
     Returns:
-        The result.
+        The result, its arrays NumPy's.
 
     Raises:
-        InputError: There is no result, it is damaged or of a newer version, or `of` is missing or another.
+        InputError: There is no result, it is damaged or of a newer version, or `of` is missing or another study.
 
     Examples:
         >>> import tempfile
@@ -101,7 +105,7 @@ def load(path: str | Path, of: Study | ClosedLoop | None = None) -> Any:
         >>> again
         <Trajectory: Trajectory to t = 2 s in 40 steps: funnel HELD, reaching HELD, tracking UNDECIDED>
     """
-    path = Path(path)
+    path, own = Path(path), list(_classes_in(of))
     if path.is_dir() and (path / "manifest.json").exists():
         return _rows(RunFolder.open(path))
     file = path / RESULT if path.is_dir() else path
@@ -112,10 +116,10 @@ def load(path: str | Path, of: Study | ClosedLoop | None = None) -> Any:
         content = json.loads(str(arrays.pop("content")))
         made_by = content["format"]
         require(made_by == _FORMAT, f"File `{file}` has format {made_by}, but this version reads {_FORMAT}.")
-        return _Reader(arrays, of, {cls.__qualname__: cls for cls in _classes_in(of)}).decoded(content["result"])
+        return _Reader(arrays, of, own).decoded(content["result"])
     except InputError:
         raise
-    except (AttributeError, KeyError, TypeError, ValueError, OSError, ImportError, zipfile.BadZipFile) as error:
+    except Exception as error:  # noqa: BLE001  # whatever a damaged file may raise
         raise InputError(f"File `{file}` is no result of `qj.save`, or damaged: {error}.") from None
 
 
@@ -125,13 +129,14 @@ def _rows(folder: RunFolder) -> Runs:
     records = {}
     for field in folder.schema():
         about = {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
-        if field.name not in catalogue():
-            records[field.name] = Record(field.name, about.get("description", ""), about.get("unit", ""))
+        if without_index(field.name) not in catalogue():
+            meaning, worse = about.get("description", "").removesuffix("."), field.name.startswith("margin_")
+            records[field.name] = Record(field.name, meaning, about.get("unit", ""), worse="low" if worse else None)
     return dataclasses.replace(concatenate(tables), records=records)
 
 
-def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:
-    """A value as JSON; arrays stand in the list, by their number."""
+def _encoded(value: Any, arrays: list[np.ndarray], place: tuple[str | int, ...]) -> Any:
+    """A value as JSON; arrays stand in the list, by their number, and functions by their place in the loop."""
     if value is None or isinstance(value, bool | str) or (type(value) is int):
         return value
     if isinstance(value, enum.Enum):
@@ -140,18 +145,24 @@ def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:
         return {"float": value.hex()}
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         arrays.append(np.asarray(value))
+        require(arrays[-1].dtype.kind != "O", f"An array of objects in a result can't be written: {show(value)}.")
         return {"scalar" if isinstance(value, np.generic) else "array": f"a{len(arrays) - 1}"}
     if isinstance(value, Study):
-        values = {name: _encoded(each, arrays) for name, each in value.values.items()}
+        values = {name: _encoded(each, arrays, ()) for name, each in value.values.items()}
         return {"study": value.contents, "bandwidth": float(value.bandwidth).hex(), "values": {"map": values}}
     if isinstance(value, AbstractMeasure):
-        return {"measure": value.name}
-    if isinstance(value, Mapping):
-        return {"map": {str(name): _encoded(each, arrays) for name, each in value.items()}}
+        return {"measure": value.name, "kind": type(value).__name__}
+    if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
+        return {"map": {name: _encoded(each, arrays, (*place, name)) for name, each in value.items()}}
     if isinstance(value, list | tuple):
-        return {type(value).__name__ if type(value) is list else "tuple": [_encoded(each, arrays) for each in value]}
-    require(dataclasses.is_dataclass(value), f"A `{type(value).__name__}` in a result can't be written: {show(value)}.")
-    fields = {field.name: _encoded(getattr(value, field.name), arrays) for field in dataclasses.fields(value)}
+        kind = "list" if isinstance(value, list) else "tuple"
+        return {kind: [_encoded(each, arrays, (*place, i)) for i, each in enumerate(value)]}
+    if callable(value) and not dataclasses.is_dataclass(value):
+        return {"function": list(place)}
+    is_known = dataclasses.is_dataclass(value)
+    require(is_known, f"A `{type(value).__name__}` in a result can't be written: {show(value)}.")
+    place = () if isinstance(value, ClosedLoop) else place
+    fields = {f.name: _encoded(getattr(value, f.name), arrays, (*place, f.name)) for f in dataclasses.fields(value)}
     return {"class": _name(type(value)), "fields": fields}
 
 
@@ -178,12 +189,12 @@ class _Reader:
     Attributes:
         arrays: Arrays by name.
         of: The study or the loop that was given.
-        own: The classes in it, by name.
+        own: The classes in it.
     """
 
     arrays: Mapping[str, np.ndarray]
     of: Study | ClosedLoop | None
-    own: Mapping[str, type]
+    own: list[type]
 
     def decoded(self, value: Any) -> Any:
         """A value of its JSON."""
@@ -206,10 +217,19 @@ class _Reader:
     def _enum(self, enum: str, value: str) -> Any:
         return self._named(enum)[value]
 
-    def _measure(self, measure: str) -> AbstractMeasure:
+    def _function(self, function: list[str | int]) -> Any:
+        """What stands at a place of the loop that was given."""
+        found: Any = self.of.nominal.loop if isinstance(self.of, Study) else self.of
+        require(found is not None, f"The result has a function of your own. {_NEEDED}")
+        for each in function:
+            found = getattr(found, each) if isinstance(each, str) and hasattr(found, each) else found[each]
+        require(callable(found), f"The loop of `of` has no function at `{'.'.join(map(str, function))}`.")
+        return found
+
+    def _measure(self, measure: str, kind: str) -> AbstractMeasure:
         """A metric or a requirement of the study that was given."""
         known = self.of.measures if isinstance(self.of, Study) else ()
-        found = [each for each in known if each.name == measure]
+        found = [each for each in known if (each.name, type(each).__name__) == (measure, kind)]
         require(len(found) == 1, f"The result has the study's own metric `{measure}`. {_NEEDED}")
         return found[0]
 
@@ -232,7 +252,7 @@ class _Reader:
         require(not differ, f"Argument `of` must be the study of the result, but differs in: {', '.join(differ)}.")
         is_same = float(given.bandwidth) == width
         require(is_same, f"Argument `of` must have the bandwidth {width!r}, but has {float(given.bandwidth)!r}.")
-        return given.substitute(**self.decoded(values))
+        return dataclasses.replace(given, values=self.decoded(values))
 
     def _named(self, name: str) -> Any:
         """A class of the package, or one of the study's own; no other module is ever imported."""
@@ -242,8 +262,9 @@ class _Reader:
             is_known = isinstance(found, type) and found.__module__ == module
             require(is_known and (dataclasses.is_dataclass(found) or issubclass(found, enum.Enum)), _unknown(name))
             return found
-        require(cls in self.own, f"The result holds a `{cls}`, a class of your own. {_NEEDED}")
-        return self.own[cls]
+        known = {each for each in self.own if each.__qualname__ == cls}
+        require(len(known) == 1, f"The result holds a `{cls}`, a class of your own. {_NEEDED}")
+        return known.pop()
 
 
 def _unknown(name: str) -> str:

@@ -266,7 +266,7 @@ def trajectory(
     solved: SolvedRun,
     measures: tuple[AbstractMeasure, ...] = (),
 ) -> Trajectory:
-    """What a user sees of a solved: with the loop that was solved."""
+    """What a user sees of a solved run: with the loop that was solved."""
     told = solved.metrics, loop, bandwidth, solved.error_bounds, solved.settling_time, measures
     return Trajectory(ts, *solved.signals, *told)
 

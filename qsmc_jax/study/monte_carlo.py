@@ -12,7 +12,7 @@ from qsmc_jax.study.batches import BatchSolver, block_size, thread_count
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.sampling import AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
-from qsmc_jax.study.study import REMEDY, Study, require_study
+from qsmc_jax.study.study import HINT, Study, require_study
 from qsmc_jax.study.windows import Piece, Planner, reassembled
 
 Progress = Callable[[int, int], None]
@@ -110,7 +110,7 @@ def stream(
         >>> [table["index"].tolist() for table in qj.stream(study, [17, 3], block=64)]
         [[17, 3]]
     """
-    require_kind("study", study, Study, REMEDY)
+    require_kind("study", study, Study, HINT)
     block = block_size(block)
     solver = BatchSolver(study, settings or SolverSettings(), block)
     sampling = sampling or Random()

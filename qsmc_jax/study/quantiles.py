@@ -45,7 +45,7 @@ def uniform(lib: Library, u: Any, low: Any, high: Any) -> Any:
 
 
 def log_uniform(lib: Library, u: Any, low: Any, high: Any) -> Any:
-    """Inverse CDF of the logarithm's uniform distribution; clipped in the same way."""
+    """Inverse CDF of the log-uniform distribution; clipped in the same way."""
     return lib.xp.clip(lib.xp.exp(lib.xp.log(low) * (1 - u) + lib.xp.log(high) * u), low, high)
 
 

@@ -119,12 +119,12 @@ def signals(
     require_kind("sampling", sampling, AbstractSampling, "Use `qj.Random()` or the sampling of the study.")
     require(len(indices) > 0, "Argument `indices` must name at least one run, but is empty.")
     grid = grid_of(ts, study.nominal.t1)
-    rows, solved, courses = [], [], []
+    rows, solved, signals_of = [], [], []
     for piece in Planner(solver, seed, sampling).pieces(indices):
-        record, course = solver.call(solver.compile(piece.method, grid), piece.points, grid)
+        record, solved_run = solver.call(solver.compile(piece.method, grid), piece.points, grid)
         rows.append(piece.rows)
-        solved.append(table(study, piece.indices, record, course.metrics))
-        courses.append([signal[: len(piece.rows)] for signal in course.signals])
+        solved.append(table(study, piece.indices, record, solved_run.metrics))
+        signals_of.append([signal[: len(piece.rows)] for signal in solved_run.signals])
     order = np.argsort(np.concatenate(rows))
-    together = (np.concatenate(each)[order] for each in zip(*courses, strict=True))
+    together = (np.concatenate(each)[order] for each in zip(*signals_of, strict=True))
     return SignalBatch(grid, concatenate(solved).take(order), *together)

@@ -61,7 +61,7 @@ class Scenario(AbstractModule):
 # Runs whose horizons are looked at where a window must not lie beyond all.
 _TRIED = 8
 # How to come by a study.
-REMEDY = "Make one: `qj.Study(scenario, bandwidth=...)`."
+HINT = "Make one: `qj.Study(scenario, bandwidth=...)`."
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -289,7 +289,7 @@ class Study:
 
 def require_study(study: Any, name: str = "study") -> None:
     """Raises unless an argument is a study, whose scenario computes what it did when it was made."""
-    require_kind(name, study, Study, REMEDY)
+    require_kind(name, study, Study, HINT)
     study.require_unchanged()
 
 

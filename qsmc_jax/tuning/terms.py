@@ -30,8 +30,8 @@ class Term:
         level: Of "cvar": the part of the runs that is left out, in [0, 1).
 
     Examples:
-        >>> import qsmc_jax as qj
-        >>> str(qj.objectives.Term("cvar", "peak_u", weight=2.0, level=0.9))
+        >>> from qsmc_jax.tuning.terms import Term
+        >>> str(Term("cvar", "peak_u", weight=2.0, level=0.9))
         '2 * cvar(peak_u, 0.9)'
     """
 

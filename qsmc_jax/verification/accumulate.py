@@ -87,6 +87,7 @@ class VerificationAccumulator:
         *claims, all_together = (
             _claim(claim, counts, checks[claim], confidence, interval) for claim, counts in summary.counts.items()
         )
+        whole = all_together if self.study.requirements else claims[0]
         return Verification(
             study=self.study,
             runs=self.runs,
@@ -107,7 +108,7 @@ class VerificationAccumulator:
             occupancy=cost.occupancy,
             solve_seconds=cost.seconds,
             is_anytime=is_anytime,
-            decision=decision and (f"{decision}, by verdicts that the check doubts" if claims[0].changed else decision),
+            decision=decision and (f"{decision}, by verdicts that the check doubts" if whole.changed else decision),
         )
 
 

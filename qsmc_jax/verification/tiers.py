@@ -45,7 +45,7 @@ class Tiers:
         return cls((settings, firmer(settings), second, third), is_sampled)
 
     def options(self, tier: int) -> dict[str, Any]:
-        """Arguments of `stream` for a tier: another program is compiled for few solver, as few runs come to it.
+        """Arguments of `stream` for a tier: another program is compiled for few lanes, as few runs come to it.
 
         Args:
             tier: Which, from 0.

@@ -24,7 +24,7 @@ COMPARED = 1024  # rows that must be those of the CPU
 
 
 def oracles() -> dict[str, Any]:
-    """Both examples against solutions made apart from this library: the largest relative error of each figure."""
+    """Both examples against solutions made apart from this library: the largest relative error of each metric."""
     import numpy as np
 
     import qsmc_jax as qj

@@ -45,11 +45,11 @@ def cost(file: str, method: str) -> tuple[float, float]:
     """Median times of solving, and of solving with derivatives [s]; the two take turns."""
     study = runpy.run_path(str(STUDIES / file))["study"]
     settings = SolverSettings(method=method, adjoint="forward")  # pyright: ignore[reportArgumentType]
-    indices, lanes = np.arange(RUNS), BatchSolver(study, settings, RUNS)
+    indices, solver = np.arange(RUNS), BatchSolver(study, settings, RUNS)
     points = Random().points(0, indices, study.dimension)
 
     def solve() -> Any:
-        return lanes.solve(indices, points, lanes.nominal_method)
+        return solver.solve(indices, points, solver.nominal_method)
 
     def derive() -> Any:
         options = {"names": NAMES, "metrics": METRICS, "settings": settings, "block": RUNS, "threads": 1}

@@ -34,7 +34,7 @@ def test_intervals_must_hold_at_any_time_once_somebody_may_have_looked(folder, a
     assert [folder.ask_for(*each) for each in asked] == answers
 
 
-def test_the_effort_is_that_of_the_runs_asked_for(folder):
+def test_the_cost_is_that_of_the_runs_asked_for(folder):
     for start, escalated, defects in ((0, (3, 1), (7, 63)), (64, (2, 0), (64, 100)), (128, (5, 5), (130,))):
         index = np.arange(start, start + 64)
         rows = Runs({"index": index, "d": index / 7.0, "verdict": np.zeros(64, int)}, ("d",))

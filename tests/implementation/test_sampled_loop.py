@@ -107,7 +107,7 @@ class Case:
 
 
 def values(noise, count):
-    """The numbers of a keyed noise, which are an input to the loop and not what is tested here."""
+    """The numbers of a noise by counter, which are an input to the loop and not what is tested here."""
     table = np.array([[float(v) for v in noise(0.0, float(k))] for k in range(count)])
     return lambda k, t: table[k]
 

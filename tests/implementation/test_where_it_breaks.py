@@ -1,4 +1,4 @@
-"""Where the guarantee breaks, by the engine: analytic limits of control/thresholds.py from both sides, within 1 %."""
+"""Where the guarantee breaks, by the engine: analytic limits of control/thresholds/ from both sides, within 1 %."""
 
 import functools as ft
 import math

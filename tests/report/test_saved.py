@@ -50,7 +50,7 @@ def same(one, other):
     if isinstance(one, np.ndarray | jax.Array | float | np.generic):
         return np.asarray(one).dtype == np.asarray(other).dtype and bool(np.array_equal(one, other, equal_nan=True))
     if isinstance(one, qj.Study):
-        return one.contents == other.contents
+        return (one.contents, one.bandwidth) == (other.contents, other.bandwidth) and same(one.values, other.values)
     return one.name == other.name if isinstance(one, AbstractMeasure) else one == other
 
 
@@ -127,6 +127,47 @@ def test_what_is_no_result_is_named(write, said, tmp_path):
     write(tmp_path)
     with pytest.raises(qj.InputError, match=said):
         qj.load(tmp_path)
+
+
+@pytest.mark.parametrize("place", [30, 300, 0.5, 0.9])
+def test_a_damaged_file_is_named(place, study, tmp_path):
+    content = bytearray(as_bytes(study.replay(0)))
+    content[int(place * len(content)) if place < 1 else place] ^= 0x10
+    (tmp_path / "run.npz").write_bytes(bytes(content))
+    with pytest.raises(qj.InputError, match="or damaged"):
+        qj.load(tmp_path / "run.npz", of=judged())
+    (tmp_path / "run.npz").write_bytes(b"")
+    with pytest.raises(qj.InputError, match="or damaged"):
+        qj.load(tmp_path / "run.npz")
+
+
+def test_values_of_the_study_that_is_given_are_not_those_of_the_result(study, tmp_path):
+    qj.save(qj.robustness_map(study, {"d": [0.1]}, runs=64, block=64), tmp_path / "map")
+    again = qj.load(tmp_path / "map", of=judged().substitute(g=1.2, mu=2.0)).study
+    assert same(again, study)
+
+
+def test_functions_of_a_loop_are_taken_from_the_one_given(tmp_path):
+    def loop(level):
+        made = qj.paper.example1()
+        return dataclasses.replace(made, reference=qj.references.Smooth(lambda t: level + 0.0 * t))
+
+    run, file = qj.simulate(loop(0.1), [0.2, 0.1], 1.0, bandwidth=0.1), tmp_path / "run"
+    qj.save(run, file)
+    again = qj.load(file, of=loop(0.1))
+    assert str(again) == str(run)
+    assert float(again.loop.desired(0.0)[0]) == 0.1
+    with pytest.raises(qj.InputError, match="a function of your own. Give"):
+        qj.load(file)
+    with pytest.raises(qj.InputError, match="or damaged|has no function at"):
+        qj.load(file, of=qj.paper.example1())
+
+
+@pytest.mark.parametrize("place", [".", "nowhere/run.npz", ""])
+def test_a_place_where_nothing_can_be_written_is_named(place, tmp_path):
+    runs = qj.Runs({"index": np.arange(2)}, names=())
+    with pytest.raises(qj.InputError, match="Argument `path` must be a file in a folder that exists"):
+        qj.save(runs, tmp_path / place)
 
 
 def test_only_results_are_saved(tmp_path):

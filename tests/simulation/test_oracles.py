@@ -9,7 +9,7 @@ import problems
 import qsmc_jax as qj
 
 # The names that `Metrics` has for the oracle's.
-FIGURES = {"sup_ratio": "peak_ratio", "sup_u": "peak_u", "reach_time": "reach_time", "t_peak": "peak_time"}
+METRICS = {"sup_ratio": "peak_ratio", "sup_u": "peak_u", "reach_time": "reach_time", "t_peak": "peak_time"}
 # Absolute, with the default rtol of 1e-6. A peak is flat: its time has about half as many digits as its height.
 DEFAULT_ATOL = {"sup_ratio": 2e-5, "sup_u": 1e-4, "reach_time": 1e-4, "t_peak": 1e-4}
 # The oracle's integrals are sums over a fine grid, good to about six digits.
@@ -36,7 +36,7 @@ def tight_run(problem):
 
 @pytest.mark.parametrize(("answer", "atol"), DEFAULT_ATOL.items(), ids=DEFAULT_ATOL)
 def test_metric_at_default_settings(problem, run, answer, atol):
-    assert float(getattr(run.metrics, FIGURES[answer])) == pytest.approx(problem.answers[answer], abs=atol, rel=0)
+    assert float(getattr(run.metrics, METRICS[answer])) == pytest.approx(problem.answers[answer], abs=atol, rel=0)
 
 
 def test_last_state_at_default_settings(problem, run):
@@ -65,7 +65,7 @@ def test_peak_obeys_the_comparison_bound(run):
 
 @pytest.mark.parametrize("answer", ["sup_ratio", "sup_u", "reach_time"])
 def test_metric_with_the_tight_preset(problem, tight_run, answer):
-    assert float(getattr(tight_run.metrics, FIGURES[answer])) == pytest.approx(problem.answers[answer], abs=1e-6, rel=0)
+    assert float(getattr(tight_run.metrics, METRICS[answer])) == pytest.approx(problem.answers[answer], abs=1e-6, rel=0)
 
 
 def test_last_state_with_the_tight_preset(problem, tight_run):

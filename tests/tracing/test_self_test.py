@@ -194,15 +194,15 @@ both_ways = pytest.mark.parametrize("vectorise", [True, False], ids=["vectorised
 @pytest.mark.parametrize("count", [64, 512])
 def test_an_arctangent_in_a_scenario_is_right_in_the_choice_of_a_method(count, vectorise):
     points = np.linspace(0.01, 0.99, count)[:, None]
-    lanes = BatchSolver(study_of(Weak()), qj.SolverSettings(vectorise=vectorise), count)
+    solver = BatchSolver(study_of(Weak()), qj.SolverSettings(vectorise=vectorise), count)
     gains = np.array([np.arctan(0.1 + 0.8 * u) for u in points[:, 0]])
     # Along the reference arctan(a) the gain is arctan(a), and the input |d| + |rho'| over it.
     ts = np.linspace(0.0, 1.0, 4001)
     rho = 2.0 * np.exp(-ts) + 0.1
     inputs = (0.3 + 2.0 * np.exp(-ts)) / gains[:, None]
     expected = np.trapezoid(gains[:, None] * np.pi / (2.0 * rho) * (1.0 + inputs**2), ts)
-    np.testing.assert_allclose(lanes.stiffness(points), expected, rtol=1e-2)
-    assert len(np.unique(lanes.stiffness(points))) == count
+    np.testing.assert_allclose(solver.stiffness(points), expected, rtol=1e-2)
+    assert len(np.unique(solver.stiffness(points))) == count
 
 
 @pytest.mark.slow

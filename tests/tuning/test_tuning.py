@@ -294,7 +294,7 @@ def test_a_start_outside_the_bounds_is_refused():
 
 @SLOW
 def test_gains_that_shut_runs_out_are_not_feasible():
-    """With a negative gain all runs leave the funnel, and their figures are no longer known: no improvement."""
+    """With a negative gain all runs leave the funnel, and their metrics are no longer known: no improvement."""
     tuned = qj.tune(STUDY, ["gain"], "mean(energy_u)", **{**QUICK, "starts": 8})
     assert any(each.unknown > 0.0 and not each.is_feasible for each in tuned.history)
     assert tuned.best.unknown == 0.0

@@ -1,4 +1,4 @@
-"""The solver of the closed loop: a diffrax method, a guard, and the running."""
+"""The solver of the closed loop: a diffrax method, a guard, and the running metrics."""
 
 import functools as ft
 from collections.abc import Callable
@@ -32,7 +32,7 @@ _STABLE_STEEPNESS = 8
 
 
 class Run(eqx.Module):
-    """The integrated state: coordinates `y`, which the method advances, and the running, which rides along."""
+    """The integrated state: coordinates `y`, which the method advances, and the running metrics, which ride along."""
 
     y: Scalars
     running: RunningMetrics
@@ -46,7 +46,7 @@ class StepError(eqx.Module):
 
 
 class _RunInterpolation(dfx.AbstractLocalInterpolation):
-    """The method's own interpolant for `y`; the running is that of the step's end."""
+    """The method's own interpolant for `y`; the running metrics are those of the step's end."""
 
     inner: dfx.AbstractLocalInterpolation
     running: RunningMetrics
@@ -64,7 +64,7 @@ class _RunInterpolation(dfx.AbstractLocalInterpolation):
 
 
 class GuardedSolver(dfx.AbstractAdaptiveSolver):
-    """Advances `y` by `method`, refuses what is not finite or too far out, and brings the running up to date.
+    """Advances `y` by `method`, refuses what is not finite or too far out, and brings the running metrics up to date.
 
     A refused candidate reports an infinite error and the old state. diffrax alone turns an infinite candidate into a
     NaN step factor, and tries the same step for ever (0.7.2). The method must be one whose solver state is the

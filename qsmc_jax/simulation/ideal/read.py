@@ -27,7 +27,7 @@ from qsmc_jax.simulation.spans import is_since, last_outside
 _IMMINENT = 1e-12
 # By what part of their size signals may be wrong, over the square root of the relative tolerance.
 _RESOLUTION = 0.02
-# Soon, also relative to the time: a run at the funnel's edge is outside if the gain is gone within it.
+# Soon, also relative to the time: a run at the funnel's edge is outside if the gain is gone within that time.
 _SOON = 1e-10
 
 
