@@ -102,8 +102,8 @@ def load(path: str | Path, of: Study | ClosedLoop | None = None) -> Any:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     qj.save(study.replay(3), Path(folder) / "run.npz")
         ...     again = qj.load(Path(folder) / "run.npz", of=study)
-        >>> again
-        <Trajectory: Trajectory to t = 2 s in 40 steps: funnel HELD, reaching HELD, tracking UNDECIDED>
+        >>> again.verdict.name, again.ts.shape
+        ('HELD', (2001,))
     """
     path, own = Path(path), list(_classes_in(of))
     if path.is_dir() and (path / "manifest.json").exists():

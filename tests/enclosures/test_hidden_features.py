@@ -106,8 +106,7 @@ def test_nothing_narrow_hides():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["tsit5", "rodas5p"])
-@pytest.mark.parametrize("feature", [in_time, in_reference], ids=["time", "reference"])
+@pytest.mark.parametrize(("feature", "method"), [(in_time, "tsit5"), (in_time, "rodas5p"), (in_reference, "tsit5")])
 @pytest.mark.parametrize(("n", "runs"), [(1, 256), (2, 128), (3, 64)])
 def test_nothing_narrow_hides_in_hundreds(n, runs, feature, method):
     check(n, feature, method, runs, seed=n)

@@ -136,8 +136,7 @@ def test_gains_that_dip_anywhere(width, at, method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["tsit5", "rodas5p"])
-@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize(("n", "method"), [(2, "tsit5"), (3, "rodas5p")])
 def test_higher_orders(n, method):
     for width in WIDTHS:
         for at in PLACES.values():
@@ -147,7 +146,7 @@ def test_higher_orders(n, method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 3])
 def test_references_with_a_bump(n):
     for width in WIDTHS[1:]:
         for shape in (GAUSSIAN, STEP):
