@@ -70,9 +70,8 @@ def test_a_run_is_drawn_in_axes_of_the_caller(run, result):
 
 
 def test_axes_are_the_first_argument_of_every_picture():
-    """`Landscape.plot` takes what was tuned before them."""
     first = {(kind.__name__, name): list(inspect.signature(getattr(kind, name)).parameters)[1] for kind, name in PLOTS}
-    assert {key for key, parameter in first.items() if parameter != "ax"} == {("Landscape", "plot")}
+    assert {key for key, parameter in first.items() if parameter != "ax"} == set()
 
 
 def test_axes_in_a_grid_serve_in_reading_order(run):
