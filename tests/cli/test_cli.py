@@ -94,7 +94,7 @@ def test_simulate_replays_the_row_of_a_run(tmp_path):
     assert qsmc("simulate", STUDY, "--index", 5, *tight, "--seed", 3, "--out", run).exit_code == 0
     metrics = json.loads((run / "run.json").read_text())
     assert metrics["peak_ratio"] == pytest.approx(rows["peak_ratio"][row], rel=1e-9)
-    assert sorted(p.name for p in run.iterdir()) == ["run.json", "run.png", "signals.parquet"]
+    assert sorted(p.name for p in run.iterdir()) == ["result.npz", "run.json", "run.png", "signals.parquet"]
 
 
 def test_help_is_quick():

@@ -58,6 +58,7 @@ def test_a_tuning_writes_its_folder_and_its_gains_can_be_verified(file, tmp_path
     assert done.exit_code == 0, done.output
     assert "CERTIFIED" in done.output
     assert {path.name for path in out.iterdir()} == {
+        "result.npz",
         "tuning.json",
         "tuning.parquet",
         "tuning.png",
@@ -68,7 +69,7 @@ def test_a_tuning_writes_its_folder_and_its_gains_can_be_verified(file, tmp_path
     content = json.loads((out / "tuning.json").read_text())
     assert content["best"]["objective"] < content["before"]["objective"]
     table = pq.read_table(out / "tuning.parquet")
-    assert table["spent"].to_pylist()[-1] == content["simulations"]
+    assert table["n_simulations"].to_pylist()[-1] == content["simulations"]
     assert content["best"]["objective"] in table["objective"].to_pylist()
     checked = qsmc("verify", file, "-S", f"@{out}", "--runs", 64, "--block", 64, "--json", "--no-cache")
     assert json.loads(checked.stdout)["values"] == content["gains"]
