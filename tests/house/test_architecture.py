@@ -147,8 +147,8 @@ def local_names(path):
 def imported(module):
     """The modules of the package that a module imports, wherever in it."""
     tree = tree_of(Path(importlib.import_module(module).__file__))
-    froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and is_ours_named(node.module)]
-    names = {f"{node.module}.{alias.name}" for node in froms for alias in node.names}
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and is_ours_named(node.module)]
+    names = {f"{node.module}.{alias.name}" for node in imports for alias in node.names}
     known = {info.name for info in MODULE_INFOS}
     return {name if name in known else name.rpartition(".")[0] for name in names} - {"qsmc_jax"}
 
