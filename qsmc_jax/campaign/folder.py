@@ -70,6 +70,8 @@ class RunFolder:
         new = temporary_beside(path)
         try:
             is_free = not path.exists() or (path.is_dir() and not any(path.iterdir()))
+            if cls(path).exists:  # somebody else has just made it
+                return cls._of_another(path, config)
             require(
                 is_free,
                 f"Argument `--out` must be a new folder or one of this study, but `{path}` holds something else.",
@@ -96,15 +98,20 @@ class RunFolder:
         except OSError as error:
             shutil.rmtree(new, ignore_errors=True)
             if cls(path).exists:
-                made = cls.open(path)
-                made.check(config)
-                return made
+                return cls._of_another(path, config)
             message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
             raise InputError(message) from None
         except BaseException:
             shutil.rmtree(new, ignore_errors=True)
             raise
         return cls(path)
+
+    @classmethod
+    def _of_another(cls, path: Path, config: CampaignConfig) -> "RunFolder":
+        """The folder that another process has made meanwhile, if it is of the same campaign."""
+        made = cls.open(path)
+        made.check(config)
+        return made
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":

@@ -8,6 +8,7 @@ import pytest
 import qsmc_jax as qj
 from qsmc_jax.campaign.campaign import Blocks, prepare
 from qsmc_jax.campaign.config import CampaignConfig, Solved
+from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.study.runs import Runs
 from studies_for_tests import study
 
@@ -76,3 +77,12 @@ def test_blocks_are_told_in_order_once_all_before_them_are_there(folder):
     assert list(blocks.in_order(iter([2, 0, 4, 1, 3]))) == [64, 128, 192, 256, 300]
     assert list(blocks.in_order(iter([1, 3, 2]))) == []
     assert list(blocks.in_order(iter([1, 0]))) == [64, 128]
+
+
+def test_a_folder_that_somebody_made_since_one_looked_is_shared_if_it_is_of_the_same_campaign(folder):
+    """As where two commands start at once: both found no folder, and one was faster."""
+    again = RunFolder.create(folder.path, CONFIG, "study.py", 64, {})
+    assert again.manifest == folder.manifest
+    with pytest.raises(qj.InputError, match="belongs to another study: `?seed"):
+        RunFolder.create(folder.path, dataclasses.replace(CONFIG, seed=2), "study.py", 64, {})
+    assert [each.name for each in folder.path.parent.iterdir()] == ["run"]
