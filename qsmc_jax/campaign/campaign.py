@@ -59,11 +59,7 @@ def prepare(
         ...     qj.campaign.prepare(pathlib.Path(place, "run"), config).manifest["identity"]["seed"]
         0
     """
-    folder = RunFolder(path)
-    if not folder.exists:
-        return RunFolder.create(path, config, study_file, file_runs, provenance or {})
-    RunFolder.open(path).check(config)
-    return folder
+    return RunFolder.create(path, config, study_file, file_runs, provenance or {})
 
 
 def run_campaign(

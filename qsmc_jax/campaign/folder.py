@@ -53,25 +53,25 @@ class RunFolder:
     def create(
         cls, path: Path, config: CampaignConfig, study_file: str, file_runs: int, provenance: Mapping[str, Any]
     ) -> "RunFolder":
-        """Makes the folder.
+        """Makes the folder, or opens it if it is the same campaign's.
 
         Args:
-            path: A new or empty folder.
+            path: A new or empty folder, or that of the same campaign.
             config: What decides its rows.
             study_file: The study's file, as the user named it.
             file_runs: Runs in each block file, at least 1.
             provenance: Versions, machine and time, plain values.
 
         Raises:
-            InputError: The folder has something else in it, or can't be made, or somebody makes it for another study.
+            InputError: The folder has something else in it, or can't be made, or is of another study.
         """
         require_count("file_runs", file_runs)
         remove_leftovers(path.parent, path.name)
         new = temporary_beside(path)
         try:
             is_free = not path.exists() or (path.is_dir() and not any(path.iterdir()))
-            if cls(path).exists:  # somebody else has just made it
-                return cls._of_another(path, config)
+            if cls(path).exists:  # it is there already, or somebody else has just made it
+                return cls._joined(path, config)
             require(
                 is_free,
                 f"Argument `--out` must be a new folder or one of this study, but `{path}` holds something else.",
@@ -98,7 +98,7 @@ class RunFolder:
         except OSError as error:
             shutil.rmtree(new, ignore_errors=True)
             if cls(path).exists:
-                return cls._of_another(path, config)
+                return cls._joined(path, config)
             message = f"Argument `--out` must be a folder that can be made, but `{path}` can't: {error.strerror}."
             raise InputError(message) from None
         except BaseException:
@@ -107,8 +107,8 @@ class RunFolder:
         return cls(path)
 
     @classmethod
-    def _of_another(cls, path: Path, config: CampaignConfig) -> "RunFolder":
-        """The folder that another process has made meanwhile, if it is of the same campaign."""
+    def _joined(cls, path: Path, config: CampaignConfig) -> "RunFolder":
+        """The folder that is there, if it is of the same campaign."""
         made = cls.open(path)
         made.check(config)
         return made

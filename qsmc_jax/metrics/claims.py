@@ -29,6 +29,15 @@ _FUNNEL, _PREFIX = "verdict", "verdict_"
 _GRAVEST = (Verdict.VIOLATED, Verdict.UNDECIDED, Verdict.INADMISSIBLE)
 
 
+def headline(claims: Iterable[str]) -> str:
+    """The claim that a conclusion and stopping rules are about: the funnel's; with requirements, all together.
+
+    Args:
+        claims: The claims of a study.
+    """
+    return TOGETHER if set(claims) - set(STATEMENTS) else "funnel"
+
+
 def verdict_column(claim: str) -> str:
     """The column of the verdicts on a claim.
 

@@ -5,6 +5,7 @@ import enum
 import importlib
 import io
 import json
+import operator
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -222,7 +223,8 @@ class _Reader:
         found: Any = self.of.nominal.loop if isinstance(self.of, Study) else self.of
         require(found is not None, f"The result has a function of your own. {_NEEDED}")
         for each in function:
-            found = getattr(found, each) if isinstance(each, str) and hasattr(found, each) else found[each]
+            is_container = isinstance(found, Mapping | list | tuple)
+            found = operator.getitem(found, each) if is_container else getattr(found, str(each))
         require(callable(found), f"The loop of `of` has no function at `{'.'.join(map(str, function))}`.")
         return found
 

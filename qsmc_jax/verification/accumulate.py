@@ -87,8 +87,7 @@ class VerificationAccumulator:
         *claims, all_together = (
             _claim(claim, counts, checks[claim], confidence, interval) for claim, counts in summary.counts.items()
         )
-        whole = all_together if self.study.requirements else claims[0]
-        return Verification(
+        found = Verification(
             study=self.study,
             runs=self.runs,
             seed=seed,
@@ -108,8 +107,11 @@ class VerificationAccumulator:
             occupancy=cost.occupancy,
             solve_seconds=cost.seconds,
             is_anytime=is_anytime,
-            decision=decision and (f"{decision}, by verdicts that the check doubts" if whole.changed else decision),
+            decision=decision,
         )
+        is_doubted = decision is not None and found.headline.changed
+        doubted = f"{decision}, by verdicts that the check doubts"
+        return dataclasses.replace(found, decision=doubted) if is_doubted else found
 
 
 def check_request(runs: int, confidence: float, worst: int, until: AbstractRule | None) -> None:

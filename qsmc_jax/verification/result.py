@@ -8,7 +8,7 @@ import numpy as np
 
 from qsmc_jax.display.notebook import as_html
 from qsmc_jax.display.result import AbstractResult
-from qsmc_jax.metrics.claims import breached, breaching
+from qsmc_jax.metrics.claims import TOGETHER, breached, breaching, headline
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.probed import probed_functions, said_of_probed
@@ -125,6 +125,11 @@ class Verification(AbstractResult):
         return Verdict.HELD if is_held and not self.defects else Verdict.UNDECIDED
 
     @property
+    def headline(self) -> Claim:
+        """What the conclusion is about: the funnel claim; with requirements, all claims together."""
+        return self.together if headline(self.study.claims) == TOGETHER else self.claims[0]
+
+    @property
     def firmer(self) -> SolverSettings:
         """The settings that the check used: to verify all runs by, where it changed a verdict."""
         tiers = Tiers.of(self.study, self.settings)
@@ -168,7 +173,7 @@ class Verification(AbstractResult):
     def conclusion(self) -> str:
         """The finding in a sentence or two that can be quoted."""
         sure = f"with {100 * self.confidence:g} % confidence" + (" at any time" if self.is_anytime else "")
-        whole = self.together if self.study.requirements else self.claims[0]
+        whole = self.headline
         interval = f"the probability of {breaching(whole.name)} lies in [{whole.low:.3g}, {whole.high:.3g}] {sure}"
         if self.verdict == Verdict.VIOLATED:
             reasons = {Outcome(int(code)).advice for code in self.worst["outcome"] if code != Outcome.COMPLETED}

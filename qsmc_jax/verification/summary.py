@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, margin_column, together, verdict_column
+from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, headline, margin_column, together, verdict_column
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import Runs, concatenate, count_verdicts
@@ -102,6 +102,7 @@ class Summary:
 
     Attributes:
         counts: Runs with each verdict, by claim, and of all claims together.
+        headline: Those of them that the conclusion and stopping rules are about.
         worst: The worst rows so far, as at most one table.
         margin: Histogram of 1 - sup |sigma|/rho.
         reach: Histogram of the reach time [s].
@@ -120,19 +121,15 @@ class Summary:
             records: What is known of the study's own metrics and margins.
         """
         self.ranges = tuple(map(Range, records))
+        claims = tuple(claims)
         self.counts = {claim: dict.fromkeys(Verdict, 0) for claim in (*claims, TOGETHER)}
-        self._headline = "funnel" if set(self.counts) == {*STATEMENTS, TOGETHER} else TOGETHER
+        self.headline = self.counts[headline(claims)]
         self.worst: list[Runs] = []
         self.margin = Histogram.over(0.0, 1.0)
         self.reach = Histogram.over(0.0, longest_reach)
         self.steps = 0
         self.peak_u = 0.0
         self._keep = worst
-
-    @property
-    def headline(self) -> dict[Verdict, int]:
-        """The counts that the conclusion and stopping rules are about: with requirements, of all claims together."""
-        return self.counts[self._headline]
 
     def add(self, table: Runs) -> None:
         """Takes a table in."""
