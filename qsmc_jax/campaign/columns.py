@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-from qsmc_jax.metrics.record import Record
-from qsmc_jax.metrics.standard import record_of
+from qsmc_jax.metrics.claims import margin_column
+from qsmc_jax.metrics.record import Record, without_index
+from qsmc_jax.metrics.standard import catalogue, record_of
 
 _OWN = {"index": "Index of the run", "tier": "The solve whose metrics these are: 0 first, 1 firmer, 2 independent"}
 
@@ -28,3 +29,23 @@ def described(schema: Any, records: Mapping[str, Record]) -> Any:
         }
         fields.append(field.with_metadata(about))
     return pa.schema(fields)
+
+
+def texts_of(field: Any) -> dict[str, str]:
+    """What is written with a column: `description`, and `unit` where it has one."""
+    return {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
+
+
+def own_records(schema: Any) -> dict[str, Record]:
+    """The records of the columns that the study alone has, as far as they are written; see `described`.
+
+    Args:
+        schema: The schema of a block that was read.
+    """
+    records, is_margin = {}, margin_column("")
+    for field in schema:
+        if without_index(field.name) not in catalogue():
+            texts, worse = texts_of(field), "low" if field.name.startswith(is_margin) else None
+            meaning = texts.get("description", "").removesuffix(".")
+            records[field.name] = Record(field.name, meaning, texts.get("unit", ""), worse=worse)
+    return records

@@ -7,6 +7,7 @@ import pyarrow as pa
 from pyarrow import csv
 from scipy.io import netcdf_file
 
+from qsmc_jax.campaign.columns import texts_of
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import concatenate
@@ -29,7 +30,7 @@ def write_csv(folder: RunFolder, path: Path) -> None:
 def write_netcdf(folder: RunFolder, path: Path) -> None:
     """All rows as NetCDF 3 with the dimension `run`, descriptions and units; very large whole numbers as floats."""
     rows = concatenate(list(folder.tables()))
-    about = {field.name: field.metadata or {} for field in folder.schema()}
+    about = {field.name: texts_of(field) for field in folder.schema()}
     with netcdf_file(path, "w", version=2) as file:
         file.createDimension("run", len(rows))
         for name in rows:
@@ -38,6 +39,6 @@ def write_netcdf(folder: RunFolder, path: Path) -> None:
             variable = file.createVariable(name, "i4" if is_small else "f8", ("run",))
             variable[:] = column
             for key, text in about[name].items():
-                setattr(variable, key.decode(), text.decode("utf-8"))
+                setattr(variable, key, text)
             if name.startswith("verdict"):
                 variable.flag_meanings = " ".join(each.name for each in sorted(Verdict))

@@ -16,11 +16,10 @@ import numpy as np
 from qsmc_jax.base.atomic import write_whole
 from qsmc_jax.base.checks import require, show
 from qsmc_jax.base.errors import InputError
+from qsmc_jax.campaign.columns import own_records
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
-from qsmc_jax.metrics.record import Record, without_index
-from qsmc_jax.metrics.standard import catalogue
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study
 
@@ -127,13 +126,7 @@ def load(path: str | Path, of: Study | ClosedLoop | None = None) -> Any:
 def _rows(folder: RunFolder) -> Runs:
     tables = list(folder.tables())
     require(len(tables) > 0, f"Folder `{folder.path}` has no rows yet.")
-    records = {}
-    for field in folder.schema():
-        about = {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
-        if without_index(field.name) not in catalogue():
-            meaning, worse = about.get("description", "").removesuffix("."), field.name.startswith("margin_")
-            records[field.name] = Record(field.name, meaning, about.get("unit", ""), worse="low" if worse else None)
-    return dataclasses.replace(concatenate(tables), records=records)
+    return dataclasses.replace(concatenate(tables), records=own_records(folder.schema()))
 
 
 def _encoded(value: Any, arrays: list[np.ndarray], place: tuple[str | int, ...]) -> Any:
