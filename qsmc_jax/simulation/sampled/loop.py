@@ -207,7 +207,7 @@ def _constants(
 
 def _advance(constants: LoopConstants, state: LoopState) -> LoopState:
     """One cell further, or a shorter try at the same one; then whatever happens at its end."""
-    captured, arrived_at = constants.problem.barrier(_event_times(constants, state))
+    captured, arrived_at = _event_times(constants, state)
     event, end = _next_event(constants, state, jnp.minimum(captured, arrived_at))
     cell, actuator, error = _cross(constants, state, end)
     is_good = constants.problem.barrier.claim(state.is_running & (error <= 1.0))
@@ -239,15 +239,15 @@ def _next_event(
 def _event_times(constants: LoopConstants, state: LoopState) -> tuple[RealScalarLike, RealScalarLike]:
     """When the states of the next sample are measured, and when the next command arrives; not before now.
 
-    To be computed once a step, behind a barrier: what is computed twice may be rounded in two ways, and then the time
-    comes without its event, again and again.
+    Worked out once a step, behind a barrier: rounded in two ways, a time could come without its event, again and again.
     """
     implementation, computer, t = constants.implementation, state.computer, state.now.t
-    age, delay = implementation.measurement_delay, implementation.delay
+    age, delay, barrier = implementation.measurement_delay, implementation.delay, constants.problem.barrier
     sampled, sent = implementation.instant(computer.sample), implementation.instant(computer.arrival)
     captured, arrived = sampled if age is None else sampled - age, sent if delay is None else sent + delay
-    is_under_way = jnp.asarray(implementation.is_late) & (computer.arrival < computer.sample)
-    return jnp.maximum(captured, t), jnp.where(is_under_way, jnp.maximum(arrived, t), jnp.inf)
+    captured, is_under_way = barrier(jnp.maximum(captured, t)), computer.arrival < computer.sample
+    arrived = jnp.where(is_under_way, jnp.maximum(arrived, t), jnp.inf)
+    return captured, barrier(arrived) if implementation.is_late else jnp.inf
 
 
 def _save_time(saved: Saved) -> RealScalarLike:
