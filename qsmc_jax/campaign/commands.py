@@ -1,8 +1,9 @@
 """Command lines that get something again, with every option that decides it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from qsmc_jax.metrics.standard import USUAL
 from qsmc_jax.simulation.settings import SolverSettings
 
 
@@ -28,7 +29,13 @@ def solver_options(settings: SolverSettings) -> list[str]:
 
 
 def verify_command(
-    study_file: str, runs: int, seed: int, confidence: float, values: Mapping[str, Any], settings: SolverSettings
+    study_file: str,
+    runs: int,
+    seed: int,
+    confidence: float,
+    values: Mapping[str, Any],
+    settings: SolverSettings,
+    metrics: Sequence[str] = USUAL,
 ) -> list[str]:
     """The words of `qsmc verify` for so many runs of a study.
 
@@ -39,6 +46,7 @@ def verify_command(
         confidence: Confidence of each interval.
         values: Values of the study's names that are fixed, numbers or lists of them.
         settings: Settings of the first solve.
+        metrics: The words by which the study asks for standard metrics.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -50,4 +58,5 @@ def verify_command(
     words = ["qsmc", "verify", study_file, "--runs", str(runs), "--seed", str(seed), "--confidence", str(confidence)]
     for name, value in values.items():
         words += ["-S", f"{name}={','.join(map(str, value if isinstance(value, list) else [value]))}"]
-    return words + solver_options(settings)
+    asked = [] if tuple(metrics) == USUAL else ["--metrics", ",".join(metrics)]
+    return words + asked + solver_options(settings)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.metrics.standard import USUAL
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import BatchSolver, block_size
 from qsmc_jax.study.monte_carlo import Progress, stream
@@ -78,6 +79,7 @@ class CampaignConfig:
             "rtol": float(settings.rtol),
             "atol": float(settings.atol),
             "precision": "float64",
+            **({} if study.asked == USUAL else {"metrics": study.asked}),
             **dict(settings.choices),
         }
         return json.loads(json.dumps(identity))
@@ -156,6 +158,11 @@ def settings_in(identity: Mapping[str, Any]) -> SolverSettings:
     """The settings that an identity tells of."""
     settings = SolverSettings(identity["rtol"], identity["atol"])
     return settings.replace(**{name: identity[name] for name, _ in settings.choices if name in identity})
+
+
+def study_in(identity: Mapping[str, Any], study: Study) -> Study:
+    """A study with the values and the standard metrics that an identity tells of."""
+    return study.substitute(**identity["values"]).asking(*identity.get("metrics", USUAL))
 
 
 def require_same(found: dict[str, Any], asked: dict[str, Any], place: str, hint: str = "") -> None:

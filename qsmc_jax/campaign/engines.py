@@ -11,7 +11,7 @@ from typing import Any
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.script import run_script
-from qsmc_jax.campaign.config import CampaignConfig, Solved
+from qsmc_jax.campaign.config import CampaignConfig, Solved, study_in
 from qsmc_jax.study.study import Study
 
 
@@ -108,7 +108,7 @@ class Dask(AbstractEngine):
             "block": config.block,
             "threads": config.threads or 1,
         }
-        work = ft.partial(_solve, config.source, dict(config.study.values), options)
+        work = ft.partial(_solve, config.source, config.identity, options)
         held: dict[Any, Task] = {}
         done: collections.deque[tuple[Task, list[Solved]]] = collections.deque()
         arriving = as_completed()
@@ -139,9 +139,11 @@ class Dask(AbstractEngine):
         return 2 * max(threads, 1)
 
 
-def _solve(source: bytes, values: dict[str, Any], options: dict[str, Any], missing: tuple[range, ...]) -> list[Solved]:
+def _solve(
+    source: bytes, identity: dict[str, Any], options: dict[str, Any], missing: tuple[range, ...]
+) -> list[Solved]:
     """What a worker does: the study comes as the bytes of its file, to be run here."""
-    config = CampaignConfig(_study(source).substitute(**values), source, **options)
+    config = CampaignConfig(study_in(identity, _study(source)), source, **options)
     return [config.solve(runs) for runs in missing]
 
 

@@ -11,12 +11,13 @@ if TYPE_CHECKING:
     from qsmc_jax.campaign.folder import RunFolder
 
 
-def config_of(study_file: Path, overrides: list[str], **options: Any) -> "CampaignConfig":
-    """The config of a study file; `options` are those of `CampaignConfig`."""
+def config_of(study_file: Path, overrides: list[str], metrics: str | None = None, **options: Any) -> "CampaignConfig":
+    """The config of a study file, asking for other standard metrics; `options` are those of `CampaignConfig`."""
     from qsmc_jax.campaign.config import CampaignConfig
 
     source = Source.read(study_file)
     study = load_study(source, overrides)
+    study = study if metrics is None else study.asking(*metrics.split(","))
     return CampaignConfig(study, source.content, files=source.files, **options)
 
 
@@ -30,7 +31,7 @@ def config_again(folder: "RunFolder", study_file: Path | None, **options: Any) -
         InputError: There is no such file, or it is no longer the same study.
     """
     from qsmc_jax.base.atomic import machine
-    from qsmc_jax.campaign.config import CampaignConfig, code_hash, require_same, settings_in
+    from qsmc_jax.campaign.config import CampaignConfig, code_hash, require_same, settings_in, study_in
 
     manifest = folder.manifest
     identity, there = manifest["identity"], Path(manifest["study_path"])
@@ -46,7 +47,7 @@ def config_again(folder: "RunFolder", study_file: Path | None, **options: Any) -
     # Before a line of it is run: a file of this name may be anybody's.
     require_same({"study_code": identity["study_code"]}, {"study_code": code_hash(source.content)}, str(folder.path))
     settings = settings_in(identity)
-    study = load_study(source, []).substitute(**identity["values"])
+    study = study_in(identity, load_study(source, []))
     config = CampaignConfig(study, source.content, int(identity["seed"]), settings, files=source.files, **options)
     folder.check(config)
     return config

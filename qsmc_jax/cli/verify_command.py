@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from qsmc_jax.verification.stopping import AbstractRule
 
 Scheduler = Annotated[str | None, typer.Option(metavar="tcp://...", help="Dask scheduler whose workers solve.")]
+Metrics = Annotated[str | None, typer.Option(metavar="M,...", help="Columns: claims (fast), standard, or names.")]
 Workers = Annotated[int | None, typer.Option(help="Dask workers to start on this machine.")]
 
 
@@ -36,6 +37,7 @@ def verify_study(
     seed: Seed = 0,
     confidence: Annotated[float, typer.Option(help="Confidence of each interval.")] = 0.95,
     overrides: Overrides = None,
+    metrics: Metrics = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; one of the same study is resumed.")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Begin in a new folder beside an existing one.")] = False,
     prepare: Annotated[bool, typer.Option("--prepare", help="Make the run folder for `qsmc worker`, no more.")] = False,
@@ -68,7 +70,9 @@ def verify_study(
         settings = SolverSettings(rtol, atol, max_steps, method)
         rule = _rule(until_below, until_width, sprt)
         check_request(runs, confidence, worst, rule)
-        config = config_of(study_file, overrides or [], seed=seed, settings=settings, block=block, threads=threads)
+        config = config_of(
+            study_file, overrides or [], metrics, seed=seed, settings=settings, block=block, threads=threads
+        )
         if out is None and (fresh or prepare or scheduler or workers):
             raise InputError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
         origin = provenance(study_file, config.source, sys.argv)
@@ -223,7 +227,8 @@ def _tell(
         say_json({**result.summary(), "provenance": origin})
         return
     values = {name: value.tolist() for name, value in result.study.values.items()}
-    firmer = verify_command(str(study_file), result.runs, result.seed, result.confidence, values, result.firmer)
+    about = result.runs, result.seed, result.confidence, values, result.firmer, result.study.asked
+    firmer = verify_command(str(study_file), *about)
     firmer += ["--out", f"{out}-firmer"] if out else []
     rows = [result.worst.row(i) for i in range(len(result.worst))]
     # A run folder knows the settings of its runs; whoever solves one without it must be told.

@@ -2,13 +2,18 @@
 
 import dataclasses
 import functools as ft
-from typing import Any
+import itertools as it
+from collections.abc import Collection, Sequence
+from typing import Any, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float, Int
 
+from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.metrics.record import Record, explained, metric, records_of, without_index
+
+_M = TypeVar("_M", bound=AbstractModule)
 
 
 @explained
@@ -199,15 +204,40 @@ class Metrics(AbstractModule):
         """Every metric by its name, those of `sampled` and of the study among them."""
         named = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         sampled, own = named.pop("sampled"), named.pop("own")
-        return {**named, **({} if sampled is None else vars(sampled)), **own}
+        named |= {} if sampled is None else vars(sampled)
+        return {**{name: value for name, value in named.items() if value is not None}, **own}
 
     def columns(self) -> dict[str, Any]:
         """Every metric by the name of its column: `peak_error[i]` is that of the i-th derivative of the error."""
         named = self.named()
-        peaks = named.pop("peak_errors")
+        peaks = named.pop("peak_errors", ())
         return {**named, **{f"peak_error[{i}]": peak for i, peak in enumerate(peaks)}}
 
+    def only(self, names: Collection[str]) -> "Metrics":
+        """The same with None for every metric that is neither named nor the study's own.
 
+        Args:
+            names: Names of records.
+        """
+        sampled = None if self.sampled is None else _only(self.sampled, names)
+        return eqx.tree_at(lambda each: each.sampled, _only(self, names), sampled, is_leaf=lambda leaf: leaf is None)
+
+
+def _only(module: _M, names: Collection[str]) -> _M:
+    """The module with None for its metrics that are not named."""
+    unasked = [field for field, record in records_of(type(module)).items() if record.name not in names]
+    if not unasked:
+        return module
+    return eqx.tree_at(lambda each: [getattr(each, field) for field in unasked], module, replace_fn=lambda _: None)
+
+
+# What a study asks for if it says nothing.
+USUAL = ("standard",)
+# The group "claims": what verdicts need, and what is said of them.
+_CLAIMS = (
+    *("verdict", "verdict_reaching", "verdict_tracking", "outcome", "end_time", "peak_ratio", "margin", "peak_u"),
+    *("reach_time", "violation_time", "settle_time", "least_gain", "largest_disturbance", "steps"),
+)
 # Names by which metrics are told where they are no columns.
 FIELDS = tuple(field.name for field in dataclasses.fields(Metrics))
 
@@ -223,6 +253,24 @@ def catalogue() -> dict[str, Record]:
     """
     records = (*records_of(Metrics).values(), *records_of(SampledMetrics).values())
     return {record.name: record for record in records}
+
+
+def asked_for(given: Sequence[str]) -> tuple[str, ...]:
+    """The names of the standard metrics that a study asks for, those of "claims" always among them.
+
+    Args:
+        given: Names of metrics and of groups of them.
+
+    Raises:
+        InputError: There is no such metric.
+    """
+    names = tuple(catalogue())
+    groups = {"standard": names, "claims": _CLAIMS}
+    for name in given:
+        listed = f"{nearest(name, (*groups, *names))} There are: {', '.join((*groups, *names))}."
+        require(name in names or name in groups, f"Argument `metrics` names `{name}`, which is no metric.{listed}")
+    wanted = {*_CLAIMS, *it.chain.from_iterable(groups.get(name, (name,)) for name in given)}
+    return tuple(name for name in names if name in wanted)
 
 
 def record_of(column: str) -> Record:

@@ -16,6 +16,7 @@ from qsmc_jax.campaign.config import settings_in
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.display.plotting import as_png
 from qsmc_jax.metrics.claims import STATEMENTS, told_of_breaches
+from qsmc_jax.metrics.standard import USUAL
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.report.sensitivity import Sensitivity
 from qsmc_jax.simulation.outcome import Outcome
@@ -78,6 +79,7 @@ def page(folder: RunFolder, summary: Mapping[str, Any], sensitivity: Sensitivity
     )
     environment.filters["short"] = _short
     about = (manifest["study_file"], summary["runs"], summary["seed"], summary["confidence"], summary["values"])
+    asked = manifest["identity"].get("metrics", USUAL)
     error = summary["numerical_error"]
     changed = {name: change for name, change in error["metrics"].items() if (change["relative"] or 0.0) > 0.0}
     largest = sorted(changed.items(), key=lambda item: -item[1]["relative"])
@@ -92,8 +94,8 @@ def page(folder: RunFolder, summary: Mapping[str, Any], sensitivity: Sensitivity
         manifest=manifest,
         sessions=folder.sessions(),
         zip=zip,
-        again=shlex.join([*verify_command(*about, settings_in(manifest["identity"])), "--out", "again"]),
-        firmer=shlex.join([*verify_command(*about, SolverSettings(**summary["firmer"])), "--out", "firmer"]),
+        again=shlex.join([*verify_command(*about, settings_in(manifest["identity"]), asked), "--out", "again"]),
+        firmer=shlex.join([*verify_command(*about, SolverSettings(**summary["firmer"]), asked), "--out", "firmer"]),
         largest=largest[:5],
     )
 

@@ -39,11 +39,13 @@ class Made:
         scenario: The scenario.
         contents: Its contents when its study was made.
         measures: Metrics and requirements of the study.
+        standard: Names of the standard metrics that it asks for.
     """
 
     scenario: Callable[[Any], Any]
     contents: Contents
     measures: tuple[AbstractMeasure, ...] = ()
+    standard: tuple[str, ...] = ()
 
     def __call__(self, draw: Any) -> Any:
         """What the scenario returns."""

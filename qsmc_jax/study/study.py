@@ -20,7 +20,7 @@ from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, margin_column, verdict
 from qsmc_jax.metrics.metric import AbstractMeasure, AbstractMetric
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.requirements import Required, Requirement
-from qsmc_jax.metrics.standard import record_of
+from qsmc_jax.metrics.standard import USUAL, asked_for, record_of
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.signals import grid_of, signals_at_start
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
@@ -74,7 +74,10 @@ class Study:
         scenario: A function `scenario(draw) -> Scenario`, pure and traceable by JAX.
         bandwidth: Bandwidth epsilon, rho_inf < epsilon < rho0 (C2), in units of the sliding variable.
         values: Numbers substituted for names, by name; see `substitute`.
-        metrics: A list of metrics of one's own, see `qj.metrics`: each is a column of every table of its runs.
+        metrics: What tables of its runs tell: "standard" for all that is known of a run; "claims" for no more than
+            verdicts need, in less time; or a list of such words, of names of standard metrics as in
+            `qj.metrics.catalogue()`, and of metrics of one's own, see `qj.metrics`. A list of the last alone adds them
+            to the standard ones.
         requirements: Requirements of one's own by their names, made by `qj.always` and `qj.eventually`: claims beside
             those of Theorem 1, with the columns `verdict_NAME` and `margin_NAME`.
         specs: What is known of each name; found by calling the scenario.
@@ -100,7 +103,7 @@ class Study:
     scenario: Callable[[Draw], Scenario]
     bandwidth: float
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    metrics: Any = ()
+    metrics: Any = "standard"
     requirements: Any = dataclasses.field(default_factory=dict)
     specs: tuple[DrawSpec, ...] = dataclasses.field(init=False)
     nominal: Scenario = dataclasses.field(init=False)
@@ -146,14 +149,29 @@ class Study:
         return (*STATEMENTS, *self.requirements)
 
     @property
+    def own_metrics(self) -> tuple[AbstractMetric, ...]:
+        """Those of its metrics that are not standard."""
+        return tuple(each for each in self.metrics if not isinstance(each, str))
+
+    @property
+    def standard(self) -> tuple[str, ...]:
+        """The names of the standard metrics that it asks for."""
+        return asked_for(self.asked)
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """The words by which it asks for them."""
+        return tuple(each for each in self.metrics if isinstance(each, str))
+
+    @property
     def measured(self) -> tuple[str, ...]:
-        """The columns of its metrics, and of the margins of its requirements."""
-        return (*(each.name for each in self.metrics), *map(margin_column, self.requirements))
+        """The columns of its own metrics, and of the margins of its requirements."""
+        return (*(each.name for each in self.own_metrics), *map(margin_column, self.requirements))
 
     @property
     def measures(self) -> tuple[AbstractMeasure, ...]:
-        """Its metrics and its requirements."""
-        return (*self.metrics, *(Required(*each) for each in self.requirements.items()))
+        """Its own metrics and its requirements."""
+        return (*self.own_metrics, *(Required(*each) for each in self.requirements.items()))
 
     def _take(self, values: Mapping[str, Any]) -> None:
         """Checks the values and what the scenario makes of them, and keeps both."""
@@ -174,7 +192,7 @@ class Study:
     @property
     def made(self) -> Made:
         """The scenario with its contents: what its programs are known by."""
-        return Made(self.scenario, self.contents, self.measures)
+        return Made(self.scenario, self.contents, self.measures, self.standard)
 
     @ft.cached_property
     def records(self) -> dict[str, Record]:
@@ -223,6 +241,19 @@ class Study:
         for name in ("scenario", "bandwidth", "specs", "metrics", "requirements", "contents"):
             object.__setattr__(made, name, getattr(self, name))
         made._take({**self.values, **values})
+        return made
+
+    def asking(self, *names: str) -> "Study":
+        """The same study, asking for other standard metrics; its own stay.
+
+        Args:
+            *names: "standard", "claims", or names of standard metrics.
+
+        Raises:
+            InputError: There is no such metric.
+        """
+        made = self.substitute()
+        object.__setattr__(made, "metrics", _metrics((*names, *self.own_metrics)))
         return made
 
     def replay(
@@ -293,12 +324,15 @@ def require_study(study: Any, name: str = "study") -> None:
     study.require_unchanged()
 
 
-def _metrics(given: Any) -> tuple[AbstractMetric, ...]:
+def _metrics(given: Any) -> tuple[AbstractMetric | str, ...]:
+    given = [given] if isinstance(given, str) else given
     is_list, found = isinstance(given, list | tuple), type(given).__name__
     require(is_list, f"Argument `metrics` must be a list of metrics, but is a `{found}`: write [...] around it.")
-    for metric in given:
+    names = [each for each in given if isinstance(each, str)]
+    asked_for(names)
+    for metric in (each for each in given if not isinstance(each, str)):
         require_kind("metrics", metric, AbstractMetric, "Use those of `qj.metrics`, such as `qj.metrics.Peak`.")
-    return tuple(given)
+    return (*(names or USUAL), *(each for each in given if not isinstance(each, str)))
 
 
 def _requirements(given: Any) -> dict[Any, Requirement]:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from qsmc_jax.base.checks import nearest, require
+from qsmc_jax.metrics.record import without_index
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import LANE_MULTIPLE, block_size, thread_count
@@ -125,6 +126,8 @@ class Batch:
             named, record = f"Argument `objective` names `{metric}`", self.study.record_of(metric)
             hint = nearest(metric, known)
             require(metric in known, f"{named}, but must name one of {', '.join(known)}.{hint}")
+            is_asked = metric in own or without_index(metric) in self.study.standard
+            require(is_asked, f"{named}, which `metrics` of the study leaves out: add it there.")
             is_sampled = loop.implementation is not None or record.loops != "sampled"
             require(is_sampled, f"{named}, which only a loop with an `implementation` has.")
             require(record.has_gradient, f"{named}, which has no derivative by the gains.")

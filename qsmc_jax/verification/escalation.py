@@ -137,7 +137,12 @@ def is_near(tables: Sequence[Runs]) -> Bool[np.ndarray, "claims rows"]:
 
 
 def breaches_bound(table: Runs) -> Bool[np.ndarray, " rows"]:
-    """Rows that HELD with a higher peak than the comparison lemma allows, where its premise on g holds."""
+    """Rows that HELD with a higher peak than the comparison lemma allows, where its premise on g holds.
+
+    None if the study does not ask for `peak_u_bound`.
+    """
+    if "peak_u_bound" not in table:
+        return np.zeros(len(table), bool)
     allowed = table["peak_u_bound"] * (1.0 + _BREACH_RTOL) + _BREACH_ATOL
     return (table["verdict"] == Verdict.HELD) & (table["least_gain"] > 0.0) & (table["peak_u"] > allowed)
 
