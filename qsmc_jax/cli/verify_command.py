@@ -84,7 +84,6 @@ def verify_study(
         else:
             place, about = _beside(out) if fresh else out, {"file_runs": file_runs, "provenance": origin}
             folder = prepare_folder(place, config, study_file=str(study_file), **about)
-            again = ["qsmc", "show", str(folder.path), "--run"]
             if prepare:
                 folder.ask_for(runs, rule is not None)
                 said = f"Prepared {folder.path} for {runs} runs. Now: qsmc worker {folder.path} --shard 0/4, 1/4, ..."
@@ -93,7 +92,7 @@ def verify_study(
             with _engine(scheduler, workers) as engine:
                 campaign = _Campaign(folder, config, origin, runs, confidence, worst, rule, engine)
                 result = campaign.run(as_json)
-            _tell(result, study_file, again, folder.path, origin, as_json)
+            _tell(result, study_file, ["qsmc", "show", str(folder.path), "--run"], folder.path, origin, as_json)
             _write_report(folder, result, as_json)
     raise typer.Exit(code_of(result.verdict.name))
 

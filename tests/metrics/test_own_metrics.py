@@ -299,7 +299,7 @@ def test_where_the_function_is_no_number_nothing_is_known():
         (lambda: m.Peak("p", lambda s: s.u, after=3.0), "must lie before the horizon, 2 s, but is 3 s"),
         (lambda: m.Peak("a=b", lambda s: s.u), "must have no '='"),
         (lambda: m.Peak("", lambda s: s.u), "must be a string that is not empty"),
-        (lambda: "peak_u", "Argument `metrics` must"),
+        (lambda: qj.Metrics, "Argument `metrics` must"),
         (
             lambda: m.Custom("p", lambda s: jnp.zeros(2), lambda state, step: state[0], lambda state: state),
             "must keep what `start` returns",
