@@ -70,9 +70,8 @@ def verify_study(
         settings = SolverSettings(rtol, atol, max_steps, method)
         rule = _rule(until_below, until_width, sprt)
         check_request(runs, confidence, worst, rule)
-        config = config_of(
-            study_file, overrides or [], metrics, seed=seed, settings=settings, block=block, threads=threads
-        )
+        solving = {"seed": seed, "settings": settings, "block": block, "threads": threads}
+        config = config_of(study_file, overrides or [], metrics, **solving)
         if out is None and (fresh or prepare or scheduler or workers):
             raise InputError("Arguments `--fresh`, `--prepare`, `--scheduler` and `--workers` need a folder: `--out`.")
         origin = provenance(study_file, config.source, sys.argv)
