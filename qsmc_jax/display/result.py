@@ -3,7 +3,7 @@
 import abc
 from typing import Any
 
-from qsmc_jax.display.notebook import as_frame, as_html
+from qsmc_jax.display.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.display.short_repr import short_repr
 
 
@@ -33,6 +33,10 @@ class AbstractResult(abc.ABC):
         """The table as a `pandas.DataFrame` over its first column; needs the extra `notebook`."""
         columns = self.table()
         return as_frame(columns, next(iter(columns)))
+
+    def to_xarray(self) -> Any:
+        """The table as an `xarray.Dataset` over the dimension `row`; needs the extra `notebook`."""
+        return as_dataset({name: ("row", column) for name, column in self.table().items()}, {}, {})
 
     def _repr_html_(self) -> str:
         return as_html(str(self), self.plot)

@@ -118,13 +118,14 @@ class RobustnessMap(AbstractResult):
         }
 
     def to_xarray(self) -> Any:
-        """Counts and intervals of each claim as an `xarray.Dataset` over the names; needs the extra `notebook`."""
+        """Counts, intervals and medians, with units, as an `xarray.Dataset` over the names; needs `notebook`."""
         found = {
             f"{claim}.{key}": (self.names, value)
             for claim, each in self.claims.items()
             for key, value in vars(each).items()
         }
-        medians = {f"median.{key}": (self.names, value) for key, value in self.medians.items()}
+        units = {key: {"units": unit} if (unit := self.study.record_of(key).unit) else {} for key in self.medians}
+        medians = {f"median.{key}": (self.names, value, units[key]) for key, value in self.medians.items()}
         attributes = {"runs": self.runs, "seed": self.seed, "confidence": self.confidence}
         return as_dataset({**found, **medians}, dict(zip(self.names, self.grids, strict=True)), attributes)
 

@@ -98,3 +98,17 @@ def test_claims_and_cells_are_tables():
     assert table.index.name == "mu"
     assert table["mean(peak_u)"].tolist() == cells.values[0].ravel().tolist()
     assert cells.summary()["t1"] == table["t1"].tolist()
+    data = cells.to_xarray()
+    assert data["mean(peak_u)"].dims == ("row",)
+    assert data["t1"].values.tolist() == table["t1"].tolist()
+
+
+def test_medians_of_a_map_have_units_of_their_metrics():
+    pytest.importorskip("xarray")
+    way = qj.Study(
+        study.scenario, bandwidth=0.2, metrics=["claims", qj.metrics.Final("way", lambda s: s.x[0], unit="m")]
+    )
+    found = qj.robustness_map(way, over={"t1": [0.5, 1.0]}, runs=64, block=64).to_xarray()
+    assert found["median.way"].attrs["units"] == "m"
+    assert found["median.way"].dims == ("t1",)
+    assert "units" not in found["funnel.violated"].attrs
