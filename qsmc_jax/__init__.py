@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
     from qsmc_jax.model.references import AbstractReference as AbstractReference
+    from qsmc_jax.model.state_space import AbstractStateSpace as AbstractStateSpace
     from qsmc_jax.report.saved import load as load
     from qsmc_jax.report.saved import save as save
     from qsmc_jax.robustness.comparison import Comparison as Comparison
@@ -89,6 +90,7 @@ _HOMES = {
     "ClosedLoop": "qsmc_jax.loop",
     "AbstractDisturbance": "qsmc_jax.model.disturbances",
     "AbstractPlant": "qsmc_jax.model.plants",
+    "AbstractStateSpace": "qsmc_jax.model.state_space",
     "AbstractReference": "qsmc_jax.model.references",
     "Metrics": "qsmc_jax.metrics.standard",
     "always": "qsmc_jax.metrics.requirements",

@@ -1,6 +1,6 @@
 """The closed loop as pure functions: plant, reference, disturbance and control, at one instant."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
 from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.references import AbstractReference
+from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
 
 
@@ -50,12 +51,13 @@ class Terms(NamedTuple):
 
 
 class ClosedLoop(AbstractModule):
-    r"""A plant under a controller: $\dot x_n = f + g u + d$ with $u$ from `control`.
+    r"""A plant under a controller: $\dot x_n = f + g u + d$ with $u$ from `control`, or a plant in own coordinates.
 
     Without an `implementation` it is the loop of the paper, in continuous time, for the quasi-sliding-mode law only.
 
     Attributes:
-        plant: The plant, of order n.
+        plant: The plant, of order n: a chain of integrators, or in its own coordinates (`AbstractStateSpace`, for the
+            ideal loop; n is its relative degree then).
         reference: The desired output $x_{des}(t)$, at least n times differentiable.
         disturbance: The matched disturbance $d(t)$.
         control: The controller with its surface (n - 1 coefficients) and funnel.
@@ -81,7 +83,7 @@ class ClosedLoop(AbstractModule):
 
     hint: ClassVar[str] = "Make one: `qj.ClosedLoop(plant, reference, disturbance, control)`."
 
-    plant: AbstractPlant
+    plant: AbstractPlant | AbstractStateSpace
     reference: AbstractReference
     disturbance: AbstractDisturbance
     control: AbstractControl
@@ -101,11 +103,31 @@ class ClosedLoop(AbstractModule):
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: without one, only the "
             "quasi-sliding-mode law can be solved. `Implementation(sample_period=1e-3)` will do.",
         )
+        require(
+            self.implementation is None or isinstance(self.plant, AbstractPlant),
+            "Argument `implementation` must be None for a plant in its own coordinates: such a loop is solved in "
+            "continuous time only.",
+        )
 
     @property
     def order(self) -> int:
-        """The order n of the plant."""
+        """The order n of the plant; of one in its own coordinates its relative degree: the number of errors."""
         return self.plant.order
+
+    @property
+    def states(self) -> int:
+        """The number of states of the plant."""
+        return self.plant.states
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of states and of errors."""
+        return self.states, self.order
+
+    @property
+    def axis(self) -> str:
+        """What a state is numbered by: derivatives of the output, unless the plant has coordinates of its own."""
+        return "derivative" if isinstance(self.plant, AbstractPlant) else "state"
 
     def desired(self, t: RealScalarLike) -> tuple[RealScalarLike, ...]:
         """The desired output and its first n derivatives at time t [s]: n + 1 scalars.
@@ -131,7 +153,31 @@ class ClosedLoop(AbstractModule):
             t: Time [s].
             x: State, n scalars.
         """
-        return tuple(xi - di for xi, di in zip(x, self.desired(t), strict=False))
+        return tuple(yi - di for yi, di in zip(self.plant.outputs(t, x), self.desired(t), strict=False))
+
+    def errors_in_motion(self, t: RealScalarLike, x: State, rates: Scalars) -> tuple[Scalars, Scalars]:
+        """The errors with their rates where the state has the given ones, of a plant in its own coordinates.
+
+        Args:
+            t: Time [s].
+            x: State.
+            rates: Its rates.
+        """
+        desired = self.desired(t)
+        outputs, moving = cast(AbstractStateSpace, self.plant).outputs_in_motion(t, x, rates)
+        errors = tuple(yi - di for yi, di in zip(outputs, desired, strict=False))
+        return errors, tuple(yi - di for yi, di in zip(moving, desired[1:], strict=True))
+
+    def error_rates(self, t: RealScalarLike, x: State, rates: Scalars) -> tuple[RealScalarLike, ...]:
+        """The rates of the errors where the state has the given ones, n scalars.
+
+        Args:
+            t: Time [s].
+            x: State.
+            rates: Its rates.
+        """
+        outputs = self.plant.output_rates(t, x, rates)
+        return tuple(yi - di for yi, di in zip(outputs, self.desired(t)[1:], strict=True))
 
     def sliding_variable(self, t: RealScalarLike, x: State) -> RealScalarLike:
         r"""The sliding variable $\sigma$, paper eq. (2).
@@ -152,17 +198,56 @@ class ClosedLoop(AbstractModule):
         law: Any = self.control  # a `QuasiSlidingControl`: the constructor sees to it
         return law(self.sliding_variable(t, x), self.control.funnel(t))
 
-    def balance(self, t: RealScalarLike, errors: State, desired: State) -> Balance:
-        """The terms of the sliding variable's derivative; `desired` is `self.desired(t)`, which callers have.
+    def balance(self, t: RealScalarLike, x: State, errors: State, desired: State) -> Balance:
+        """The terms of the sliding variable's derivative; callers have `self.errors(t, x)` and `self.desired(t)`.
 
         Args:
             t: Time [s].
+            x: State.
             errors: Errors, n scalars.
             desired: Desired output and its first n derivatives.
         """
-        d, x = self.disturbance(t), self.state(errors, desired)
+        d = self.disturbance(t)
+        if isinstance(self.plant, AbstractStateSpace):
+            rates = self.error_rates(t, x, self.plant.vector_field(t, x, d))
+            return Balance(self.control.surface(rates), self.gain(t, x), d)
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
         return Balance(residual, self.plant.gain(t, x), d)
+
+    def gain(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        """The gain g of the sliding variable's derivative.
+
+        Args:
+            t: Time [s].
+            x: State.
+        """
+        if isinstance(self.plant, AbstractPlant):
+            return self.plant.gain(t, x)
+        return self.control.surface(self.plant.gains(t, x))
+
+    def driven(self, t: RealScalarLike, x: State, u: RealScalarLike) -> Scalars:
+        """The state's derivative in the ideal loop under the input u.
+
+        Args:
+            t: Time [s].
+            x: State.
+            u: Input.
+        """
+        if isinstance(self.plant, AbstractPlant):
+            return self.rates(self.terms(t, x), x, u)
+        free = self.plant.vector_field(t, x, self.disturbance(t))
+        return tuple(fi + gi * u for fi, gi in zip(free, self.plant.input_matrix(t, x), strict=True))
+
+    def coasted(self, t: RealScalarLike, x: State, dt: RealScalarLike) -> Scalars:
+        """The state a moment later without input; in a chain of integrators but for the last, which no other shows.
+
+        Args:
+            t: Time [s].
+            x: State.
+            dt: How much later [s].
+        """
+        rates = (*x[1:], 0.0) if isinstance(self.plant, AbstractPlant) else self.driven(t, x, 0.0)
+        return tuple(xi + dt * rate for xi, rate in zip(x, rates, strict=True))
 
     def terms(self, t: RealScalarLike, x: State) -> Terms:
         """What moves the plant at time t and state x, apart from the input.
@@ -171,12 +256,17 @@ class ClosedLoop(AbstractModule):
             t: Time [s].
             x: State, n scalars.
         """
-        implementation = self.implementation
-        gain = self.plant.gain(t, x)
+        implementation, plant = self.implementation, self._chain
+        gain = plant.gain(t, x)
         if implementation is not None and implementation.gain_fault is not None:
             gain = gain * implementation.gain_fault(t)
         unmatched = () if implementation is None else tuple(signal(t) for signal in implementation.unmatched)
-        return Terms(self.plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
+        return Terms(plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
+
+    @property
+    def _chain(self) -> AbstractPlant:
+        """The plant, where it must be a chain of integrators."""
+        return cast(AbstractPlant, self.plant)
 
     def rates(self, terms: Terms, x: State, u: RealScalarLike) -> Scalars:
         """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`.
@@ -196,7 +286,7 @@ class ClosedLoop(AbstractModule):
             t: Time [s].
             x: State, n scalars.
         """
-        return self.rates(self.terms(t, x), x, self.input(t, x))
+        return self.driven(t, x, self.input(t, x))
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:

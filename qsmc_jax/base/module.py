@@ -53,13 +53,14 @@ def require_fields(module: AbstractModule) -> None:
     owner = type(module).__name__
     for name, hint in _hints(type(module)).items():
         value: Any = getattr(module, name, None)
-        dims, kind = _dimensions(hint), _module_class(hint)
+        dims, kinds = _dimensions(hint), _module_classes(hint)
         if dims is not None and eqx.is_array_like(value):
             rank = len(dims.split())
             fits = np.ndim(value) == rank
             require(fits, f"Argument `{name}` of `{owner}` must be {_RANKS[rank]}, but has shape {np.shape(value)}.")
-        if kind is not None and not (value is None and type(None) in get_args(hint)):
-            require_kind(f"{name}` of `{owner}", value, kind, kind.hint)
+        is_left_out = value is None and type(None) in get_args(hint)
+        if kinds and not is_left_out and not isinstance(value, kinds):
+            require_kind(f"{name}` of `{owner}", value, kinds[0], kinds[0].hint)
 
 
 def _shown(value: Any) -> str:
@@ -100,12 +101,12 @@ def _hints(kind: type) -> dict[str, Any]:
     return get_type_hints(kind, include_extras=True)
 
 
-def _module_class(hint: Any) -> type[AbstractModule] | None:
-    """The one class of modules that an annotation allows, also one that allows None; None for anything else."""
-    is_optional = get_origin(hint) in (Union, UnionType) and type(None) in get_args(hint)
-    allowed = [part for part in (get_args(hint) if is_optional else [hint]) if part is not type(None)]
-    is_module = len(allowed) == 1 and isinstance(allowed[0], type) and issubclass(allowed[0], AbstractModule)
-    return allowed[0] if is_module else None
+def _module_classes(hint: Any) -> tuple[type[AbstractModule], ...]:
+    """The classes of modules that an annotation allows, also one that allows None; none if it allows anything else."""
+    is_union = get_origin(hint) in (Union, UnionType)
+    allowed = tuple(part for part in (get_args(hint) if is_union else [hint]) if part is not type(None))
+    are_modules = all(isinstance(part, type) and issubclass(part, AbstractModule) for part in allowed)
+    return allowed if are_modules else ()
 
 
 def _dimensions(hint: Any) -> str | None:

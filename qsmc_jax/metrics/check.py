@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,9 @@ from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.metrics.view import View
 from qsmc_jax.tracing.programs import Program
 from qsmc_jax.tracing.traceable import require_number, trace
+
+# Numbers of states and of errors.
+Sizes: TypeAlias = tuple[int, int]
 
 
 class _Straight(AbstractStep):
@@ -84,7 +87,7 @@ def _check_part(measure: AbstractMeasure, part: AbstractKept, start: Signals, ho
         f"Argument `before` of {kind} `{name}` must not lie beyond the horizon, {horizon:g} s, but is {part.before:g} "
         "s: leave it out for the horizon, or make `t1` longer.",
     )
-    program_of(measure, part, len(start.x))
+    program_of(measure, part, (len(start.x), len(start.e)))
     if isinstance(part, AbstractFunction):
         value = float(np.asarray(part.of(start), float))
         require(
@@ -94,34 +97,34 @@ def _check_part(measure: AbstractMeasure, part: AbstractKept, start: Signals, ho
         )
 
 
-def records_in(measure: AbstractMeasure, order: int) -> dict[str, Record]:
+def records_in(measure: AbstractMeasure, sizes: Sizes) -> dict[str, Record]:
     """The records of a measure in a study, by column; what is true or false has no derivative.
 
     Args:
         measure: The measure, checked.
-        order: Order of the plant.
+        sizes: Numbers of states and of errors.
     """
-    is_claim = any(isinstance(part, AbstractFunction) and _is_claim(part, order) for part in measure.parts)
+    is_claim = any(isinstance(part, AbstractFunction) and _is_claim(part, sizes) for part in measure.parts)
     known = measure.records
     return {each.name: dataclasses.replace(each, has_gradient=each.has_gradient and not is_claim) for each in known}
 
 
-def program_of(measure: AbstractMeasure, part: AbstractKept, order: int) -> Program:
+def program_of(measure: AbstractMeasure, part: AbstractKept, sizes: Sizes) -> Program:
     """The program of what the user wrote of a part of a measure.
 
     Args:
         measure: The measure.
         part: The part.
-        order: Order of the plant.
+        sizes: Numbers of states and of errors.
     """
     kind = kind_of(measure)
     if not isinstance(part, AbstractFunction):
         named = f"{kind.capitalize()} `{measure.name}`"
-        return _traced(named, lambda *ends: _once(named, measure, part, _Straight(ends)), order, 2)
+        return _traced(named, lambda *ends: _once(named, measure, part, _Straight(ends)), sizes, 2)
     what = f"Function `of` of {kind} `{measure.name}`"
     require(callable(part.of), f"{what} must be a function of the signals, but is {part.of!r}.")
-    program = _traced(what, lambda now: _result(what, part.of(now)), order, 1)
-    is_answer = kind == "requirement" and _is_claim(part, order)
+    program = _traced(what, lambda now: _result(what, part.of(now)), sizes, 1)
+    is_answer = kind == "requirement" and _is_claim(part, sizes)
     require(
         not is_answer,
         f"{what} must return a number that is positive where it is as it should be, but returns true or false. Write "
@@ -130,14 +133,14 @@ def program_of(measure: AbstractMeasure, part: AbstractKept, order: int) -> Prog
     return program
 
 
-def _is_claim(part: AbstractFunction, order: int) -> bool:
-    return jax.eval_shape(part.of, _stand_ins(order)).dtype == bool
+def _is_claim(part: AbstractFunction, sizes: Sizes) -> bool:
+    return jax.eval_shape(part.of, _stand_ins(sizes)).dtype == bool
 
 
-def _traced(what: str, call: Callable[..., Any], order: int, instants: int) -> Program:
+def _traced(what: str, call: Callable[..., Any], sizes: Sizes, instants: int) -> Program:
     """The program of what makes one number of the signals at so many instants."""
     try:
-        signals = (_stand_ins(order),) * instants
+        signals = (_stand_ins(sizes),) * instants
         program, result = trace(what, "the signals at one instant", (), lambda _, *given: call(*given), *signals)
     except AttributeError as error:
         if "'Signals' object" not in str(error):
@@ -151,11 +154,11 @@ def _traced(what: str, call: Callable[..., Any], order: int, instants: int) -> P
     return program
 
 
-def _stand_ins(order: int) -> Signals:
+def _stand_ins(sizes: Sizes) -> Signals:
     """Shapes of the signals at one instant."""
     number = jax.ShapeDtypeStruct((), np.float64)
-    several = (number,) * order
-    return Signals(number, several, several, several, *(number,) * 7)
+    x, e = ((number,) * size for size in sizes)
+    return Signals(number, x, e, e, *(number,) * 7)
 
 
 def _result(what: str, result: Any) -> Any:

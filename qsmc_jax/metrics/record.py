@@ -60,13 +60,14 @@ if TYPE_CHECKING:
     from equinox import field as metric  # the only name by which type checkers know a field of an `eqx.Module`
 else:
 
-    def metric(**about: Any) -> Any:
+    def metric(*, default: Any = dataclasses.MISSING, **about: Any) -> Any:
         """A dataclass field that holds a metric.
 
         Args:
+            default: What it is where a loop has no such metric; none for what every loop has.
             **about: What a `Record` is made of, but for the name, which is the field's, unless another is given.
         """
-        return eqx.field(metadata={_KEY: about})
+        return eqx.field(default=default, metadata={_KEY: about})
 
 
 def records_of(cls: type) -> dict[str, Record]:

@@ -197,6 +197,14 @@ class Metrics(AbstractModule):
         meaning="Largest |d| met at the end of a step", label=r"largest $|d|$", worse="high"
     )
     steps: Int[Array, ""] = metric(meaning="Steps taken, kept or not", label="steps")
+    coordinate_drift: Float[Array, ""] | None = metric(
+        meaning="Of a plant in its own coordinates, the largest difference at the end of a step between sigma/rho as "
+        "the state and as the funnel coordinate have it; UNDECIDED if it is more than 1e-3, or than the margin then",
+        unit="-",
+        label="drift of the coordinates",
+        worse="high",
+        default=None,
+    )
     sampled: SampledMetrics | None = None
     own: dict[str, Array] = eqx.field(default_factory=dict)
 
@@ -237,6 +245,7 @@ USUAL = ("standard",)
 _CLAIMS = (
     *("verdict", "verdict_reaching", "verdict_tracking", "outcome", "end_time", "peak_ratio", "margin", "peak_u"),
     *("reach_time", "violation_time", "settle_time", "least_gain", "largest_disturbance", "steps"),
+    "coordinate_drift",
 )
 # Names by which metrics are told where they are no columns.
 FIELDS = tuple(field.name for field in dataclasses.fields(Metrics))

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import AbstractModule, float_field, require_fields
-from qsmc_jax.base.types import RealScalarLike, State
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.model.kinks import as_times
 from qsmc_jax.tracing.traceable import once_per_structure, require_number, trace
 
@@ -38,13 +38,37 @@ class AbstractPlant(AbstractModule):
     Source: paper, eq. (1); the paper has f(x) and g(x), time is added for drifting parameters.
     """
 
-    hint: ClassVar[str] = "Derive from `qj.AbstractPlant`, or use one of `qj.plants`."
+    hint: ClassVar[str] = "Derive from `qj.AbstractPlant` or `qj.AbstractStateSpace`, or use one of `qj.plants`."
 
     order: eqx.AbstractClassVar[int]
 
     def __check_init__(self):
         require_fields(self)
         _require_plant(self)
+
+    @property
+    def states(self) -> int:
+        """The number of states, n."""
+        return self.order
+
+    def outputs(self, t: RealScalarLike, x: State) -> Scalars:
+        """The output and its derivatives, n scalars: the state itself.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of n scalars.
+        """
+        return tuple(x)
+
+    def output_rates(self, t: RealScalarLike, x: State, rates: Scalars) -> Scalars:
+        """The rates of `outputs` where the state has the given ones, n scalars.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of n scalars.
+            rates: Rates of the state, n scalars.
+        """
+        return tuple(rates)
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:

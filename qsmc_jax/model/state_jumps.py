@@ -1,4 +1,4 @@
-"""Whether drift and gain of a plant are continuous in the state."""
+"""Whether what a plant computes is continuous in the state."""
 
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from qsmc_jax.base.checks import is_traced, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
+from qsmc_jax.model.components import components
 from qsmc_jax.model.crossings import in_batches, jumps, switches, with_decisions
 from qsmc_jax.model.kinks import may_jump
 from qsmc_jax.tracing.traceable import once_per_structure, trace
@@ -19,26 +20,26 @@ _MOST = 2048  # switches looked at along an axis
 
 
 def require_no_state_jumps(plant: Any) -> None:
-    """Raises if drift or gain of a plant is found to jump as a function of the state; traced numbers pass."""
+    """Raises if what a plant computes is found to jump as a function of the state; traced numbers pass."""
     for method in _suspects(plant):
         require_continuous(plant, method)
 
 
 @once_per_structure
 def _suspects(plant: Any) -> tuple[str, ...]:
-    """The methods whose operations may jump in the state."""
+    """The components whose operations may jump in the state."""
     number = jax.ShapeDtypeStruct((), float)
     found = []
-    for method in ("drift", "gain"):
-        call = lambda plant, t, *x, method=method: getattr(plant, method)(t, x)  # noqa: E731
-        program, _ = trace(f"`{method}`", "a time and a state", plant, call, number, *(number,) * plant.order)
-        if may_jump(program, plant.order):
+    for method, component in components(plant).items():
+        call = lambda plant, t, *x, component=component: component(plant, t, x, 0.0)  # noqa: E731
+        program, _ = trace(f"`{method}`", "a time and a state", plant, call, number, *(number,) * plant.states)
+        if may_jump(program, plant.states):
             found.append(method)
     return tuple(found)
 
 
 def require_continuous(plant: Any, method: str) -> None:
-    """Raises if drift or gain is found to jump as a function of the state; traced numbers pass.
+    """Raises if a component is found to jump as a function of the state; traced numbers pass.
 
     The function is followed along each axis of the state, through states and times of many sizes, and where it
     switches its values are compared: see crossings.py. What joins passes, and what jumps in time only. So does what
@@ -46,7 +47,7 @@ def require_continuous(plant: Any, method: str) -> None:
 
     Args:
         plant: The plant.
-        method: `drift` or `gain`.
+        method: Its name in `components`, such as `drift`.
     """
     if is_traced(plant):
         return
@@ -73,9 +74,9 @@ def _first_jump(plant: Any, method: str) -> tuple[Any, ...] | None:
     def ask(which: int, points: np.ndarray) -> Any:
         return in_batches(lambda batch: _evaluated(plant, method, batch)[which], points)
 
-    for axis in range(plant.order):
-        lines = _lines(plant.order, axis)
-        low, high = (part.reshape(-1, plant.order + 1) for part in (lines[:, :-1], lines[:, 1:]))
+    for axis in range(plant.states):
+        lines = _lines(plant.states, axis)
+        low, high = (part.reshape(-1, plant.states + 1) for part in (lines[:, :-1], lines[:, 1:]))
         a, b = switches(lambda points: ask(1, points), low, high, _MOST)
         if len(a) == 0:
             continue
@@ -92,7 +93,7 @@ def _evaluated(plant: Any, method: str, points: Any) -> tuple[Any, Any]:
     """Value and decisions at points (t, x), a row each."""
 
     def function(t: Any, *x: Any) -> Any:
-        return jnp.asarray(getattr(plant, method)(t, x), dtype=float)
+        return jnp.asarray(components(plant)[method](plant, t, x, 0.0), dtype=float)
 
     return jax.vmap(lambda point: with_decisions(function, tuple(point)))(points)
 

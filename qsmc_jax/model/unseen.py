@@ -27,6 +27,7 @@ from qsmc_jax.model.disturbances import (
 )
 from qsmc_jax.model.plants import AbstractPlant, FourthOrderExample, InvertedPendulum
 from qsmc_jax.model.references import AbstractReference
+from qsmc_jax.model.state_space import AbstractStateSpace
 
 # Largest values of the first derivatives of the quintic smoothstep, by order.
 _STEEPEST_RAMP = {1: 1.875, 2: 5.7735, 3: 60.0, 4: 360.0, 5: 720.0}
@@ -115,7 +116,7 @@ def is_consistent(reference: AbstractReference) -> bool:
 
 
 @ft.singledispatch
-def gain_range(plant: AbstractPlant) -> tuple[RealScalarLike, RealScalarLike]:
+def gain_range(plant: AbstractPlant | AbstractStateSpace) -> tuple[RealScalarLike, RealScalarLike]:
     """Bounds of the gain over all times and states; NaN where none are known."""
     return math.nan, math.nan
 
@@ -132,7 +133,7 @@ def _(plant: FourthOrderExample) -> tuple[RealScalarLike, RealScalarLike]:
     return plant.gain_scale, 3.0 * plant.gain_scale
 
 
-def is_known(plant: AbstractPlant) -> bool:
+def is_known(plant: AbstractPlant | AbstractStateSpace) -> bool:
     """Whether a plant is one of the library's: its drift, sines of the state, hides nothing within a step."""
     return gain_range.dispatch(type(plant)) is not gain_range.dispatch(object)
 

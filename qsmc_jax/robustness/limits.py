@@ -203,12 +203,13 @@ def _balances(run: Trajectory) -> tuple[Float[Array, " times"], Float[Array, " t
     """The residual, |gain| with the sign that the law takes it to have, and the rate of the funnel along a run."""
     loop = run.loop
 
-    def at(t: Array, e: Float[Array, " n"]) -> tuple[Array, Array, Array]:
-        balance = loop.balance(t, tuple(e[i] for i in range(loop.order)), loop.desired(t))
+    def at(t: Array, row: Float[Array, " n"]) -> tuple[Array, Array, Array]:
+        x = tuple(row[i] for i in range(loop.states))
+        balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
         gain = loop.control.gain_sign * balance.gain
         return jnp.asarray(balance.residual), jnp.asarray(gain), loop.control.funnel.width_and_rate(t)[1]
 
-    return jax.vmap(at)(jnp.asarray(run.ts), jnp.asarray(run.e))
+    return jax.vmap(at)(jnp.asarray(run.ts), jnp.asarray(run.x))
 
 
 _Line = tuple[str, float, ThresholdKind]

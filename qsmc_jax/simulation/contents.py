@@ -11,6 +11,7 @@ from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.implementation.actuators import AbstractActuator
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.components import components
 from qsmc_jax.model.unseen import is_consistent, is_known, is_own
 from qsmc_jax.tracing.digest import digest
 from qsmc_jax.tracing.traceable import trace
@@ -34,11 +35,9 @@ def functions_of(loop: ClosedLoop) -> Contents:
     Whatever such a function reads from outside, a global say, is in them: JAX keeps programs by what a loop looks like.
     """
     number = jax.ShapeDtypeStruct((), np.float64)
-    state = (number,) * loop.order
-    plant = type(loop.plant).__name__
+    given, plant = (number, (number,) * loop.states, number), type(loop.plant).__name__
     parts: dict[str, _Part] = {
-        f"drift of `{plant}`": (loop.plant, lambda plant, t, x: plant.drift(t, x), (number, state)),
-        f"gain of `{plant}`": (loop.plant, lambda plant, t, x: plant.gain(t, x), (number, state)),
+        **{f"{name} of `{plant}`": (loop.plant, each, given) for name, each in components(loop.plant).items()},
         f"disturbance `{type(loop.disturbance).__name__}`": (loop.disturbance, lambda d, t: d(t), (number,)),
         f"reference `{type(loop.reference).__name__}`": (
             loop.reference,

@@ -18,8 +18,8 @@ from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.barrier import Barrier
 from qsmc_jax.simulation.ideal.accumulate import first_metrics
-from qsmc_jax.simulation.ideal.coordinates import named_coordinates
 from qsmc_jax.simulation.ideal.guarded_solver import GuardedSolver, Run
+from qsmc_jax.simulation.ideal.lifted import named_coordinates
 from qsmc_jax.simulation.ideal.read import FinalState, read_metrics
 from qsmc_jax.simulation.ideal.step_size import StepSize, singly
 from qsmc_jax.simulation.outcome import Outcome
@@ -58,7 +58,7 @@ def pose(
     bounds = tuple(bandwidth * gains[i] for i in range(loop.order))
     return Problem(
         loop=loop,
-        coordinates=named_coordinates(settings.coordinates),
+        coordinates=named_coordinates(settings.coordinates, loop),
         bandwidth=bandwidth,
         reaching_time=funnel.reaching_time(bandwidth),
         error_bounds=bounds,
@@ -127,7 +127,8 @@ def _solve_ideal(
     # A refused run is given no time: it takes no step, and holds up nobody in its block.
     end = jnp.where(is_admitted, horizon, 0.0)
     times = None if ts is None else jnp.where(is_admitted, ts, 0.0)
-    y0 = pytrees.where(is_admitted, problem.coordinates.start(problem.loop, x0), tuple(x0))
+    start = problem.coordinates.start(problem.loop, x0)
+    y0 = pytrees.where(is_admitted, start, (*x0, 0.0)[: len(start)])
     run0 = Run(y0, first_metrics(problem, y0))
     solution = dfx.diffeqsolve(
         dfx.ODETerm(_carry),
@@ -163,7 +164,7 @@ def _carry(t: RealScalarLike, run: Run, problem: Problem) -> Run:
 
 def _first_step(problem: Problem, x0: State, run0: Run, horizon: RealScalarLike) -> RealScalarLike:
     r"""A part of the time that the loop needs to answer, $2 \rho / (\pi |g| \cosh^2 s)$, and of the horizon."""
-    answer = jnp.abs(problem.loop.plant.gain(0.0, x0)) * (1.0 + run0.running.u**2) / problem.loop.control.funnel(0.0)
+    answer = jnp.abs(problem.loop.gain(0.0, x0)) * (1.0 + run0.running.u**2) / problem.loop.control.funnel(0.0)
     return jax.lax.stop_gradient(_FIRST_STEP / (1.0 / horizon + answer))
 
 

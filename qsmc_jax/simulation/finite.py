@@ -13,6 +13,7 @@ from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.components import components
 from qsmc_jax.model.unseen import is_consistent, is_known, is_own
 
 _INSTANTS = 257
@@ -36,7 +37,7 @@ def require_finite_functions(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> N
         is_bad = ~np.isfinite(values)
         if np.any(is_bad):
             at, value = ts[is_bad][0], values[is_bad][0]
-            where = f" and x = {show(x0)}" if name.startswith(("`drift`", "`gain`")) else ""
+            where = f" and x = {show(x0)}" if f"of `{type(loop.plant).__name__}`" in name else ""
             raise InputError(
                 f"{name} must be finite, but is {show(value)} at t = {show(at)} s{where}. Guard what it divides by, "
                 "takes the root or the logarithm of: `jnp.where(is_fine, x, 1.0)` inside the function."
@@ -45,9 +46,9 @@ def require_finite_functions(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> N
 
 @entry_point
 def _values(loop: ClosedLoop, x0: Any, ts: Float[np.ndarray, " times"]) -> dict[str, Any]:
-    plant, names = type(loop.plant).__name__, {}
-    drift, gain, disturbance, *desired = _evaluated(loop, jnp.asarray(x0), jnp.asarray(ts))
-    names[f"`drift` of `{plant}`"], names[f"`gain` of `{plant}`"] = drift, gain
+    plant = type(loop.plant).__name__
+    own, disturbance, desired = _evaluated(loop, jnp.asarray(x0), jnp.asarray(ts))
+    names = {f"`{method}` of `{plant}`": values for method, values in own.items()}
     names[f"`{type(loop.disturbance).__name__}`, a disturbance,"] = disturbance
     for order, values in enumerate(desired):
         names[f"Derivative {order} of `{type(loop.reference).__name__}`, a reference,"] = values
@@ -55,10 +56,10 @@ def _values(loop: ClosedLoop, x0: Any, ts: Float[np.ndarray, " times"]) -> dict[
 
 
 @eqx.filter_jit
-def _evaluated(loop: ClosedLoop, x0: Float[Array, " n"], ts: Float[Array, " times"]) -> tuple[Array, ...]:
-    def at(t: Array) -> tuple[Array, ...]:
-        x = tuple(x0[i] for i in range(loop.order))
-        values = loop.plant.drift(t, x), loop.plant.gain(t, x), loop.disturbance(t), *loop.desired(t)
-        return tuple(jnp.asarray(value, float) for value in values)
+def _evaluated(loop: ClosedLoop, x0: Float[Array, " n"], ts: Float[Array, " times"]) -> Any:
+    def at(t: Array) -> Any:
+        x, d = tuple(x0[i] for i in range(loop.states)), loop.disturbance(t)
+        own = {name: component(loop.plant, t, x, d) for name, component in components(loop.plant).items()}
+        return jax.tree.map(lambda value: jnp.asarray(value, float), (own, d, loop.desired(t)))
 
     return jax.vmap(at)(ts)

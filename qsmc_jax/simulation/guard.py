@@ -8,8 +8,9 @@ as long as the gain pushes back, by no more than $a / (g \cosh s)$: u = sinh s b
 counts |u| times as much.
 """
 
+import functools as ft
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import jax.numpy as jnp
 
@@ -17,6 +18,8 @@ from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.enclosures.unseen import Step, Unseen, unseen
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.plants import AbstractPlant
+from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.model.unseen import (
     gain_range,
     is_consistent,
@@ -45,6 +48,7 @@ def hidden(
     ys: tuple[Scalars, Scalars, Scalars],
     us: tuple[RealScalarLike, RealScalarLike],
     rtol: RealScalarLike,
+    least: RealScalarLike,
 ) -> RealScalarLike:
     """How far a step could move the funnel coordinate unseen, in units of what is tolerated; 0.0 if nothing can hide.
 
@@ -54,17 +58,21 @@ def hidden(
         ys: The coordinates at its start, middle and end.
         us: The input's size at its start and end.
         rtol: The relative tolerance.
+        least: Size below which a state counts as this large, as for the tolerances of the solve.
     """
     problem, (t0, t1), ys, us = pytrees.stop_gradient((problem, (step.t0, step.t1), ys, us))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     at = _path(problem, step, ys)
     pushes = _pushes(loop, step, at)
     amount_of_gain, lowest = _gain(loop, step, at)
-    jump = _discontinuity(loop, step)
+    jump, in_states = (
+        _discontinuity(loop, step),
+        _in_states(loop, step, at, _sizes(problem, step, ys, least), jnp.maximum(*us)),
+    )
     k = 0.5 * jnp.pi / loop.control.funnel(t1)
     # By an exponent of 1 at most may a small s grow in a step in which the gain may push outwards.
     growth = step.length * k * jnp.maximum(-lowest, 0.0)
-    if is_nothing(pushes.amount) and is_nothing(amount_of_gain) and is_nothing(jump):
+    if all(map(is_nothing, (pushes.amount, amount_of_gain, jump, in_states))):
         return growth
     calmest, largest = jnp.minimum(*us), jnp.maximum(*us)
     cosh, least_cosh = jnp.sqrt(1.0 + largest**2), jnp.sqrt(1.0 + calmest**2)
@@ -72,8 +80,16 @@ def hidden(
     is_held = lowest > 0.0
     balanced = jnp.where(is_held, amount / (jnp.where(is_held, lowest, 1.0) * least_cosh), jnp.inf)
     moves = jnp.minimum(step.length * k * cosh * amount, balanced) + k * cosh * jump
+    moves = jnp.maximum(moves, in_states) if not is_nothing(in_states) else moves
     moves = jnp.where(jnp.isnan(moves), jnp.inf, moves)
     return jnp.maximum(moves / _worth(rtol), growth)
+
+
+def _sizes(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars], least: RealScalarLike) -> Scalars:
+    """How large the states are in the step, or as small as counts."""
+    state = problem.coordinates.state
+    ends = zip(state(problem.loop, step.t0, ys[0]), state(problem.loop, step.t1, ys[2]), strict=True)
+    return tuple(jnp.maximum(jnp.maximum(jnp.abs(a), jnp.abs(b)), least) for a, b in ends)
 
 
 def hidden_in_cell(
@@ -91,8 +107,9 @@ def hidden_in_cell(
     """
     problem, implementation, (t0, t1), u = pytrees.stop_gradient((problem, implementation, (step.t0, step.t1), u))
     step, loop = Step(t0, t1, step.nodes), problem.loop
-    gain = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.gain(t, at(t)), step)
-    drift = joined([]) if is_known(loop.plant) else unseen(lambda t: loop.plant.drift(t, at(t)), step)
+    plant = cast(AbstractPlant, loop.plant)
+    gain = joined([]) if is_known(plant) else unseen(lambda t: plant.gain(t, at(t)), step)
+    drift = joined([]) if is_known(plant) else unseen(lambda t: plant.drift(t, at(t)), step)
     pushes = joined([unseen_in_signal(loop.disturbance, step), drift]).amount + gain.amount * jnp.abs(u)
     for c, signal in zip(loop.control.surface.c, implementation.unmatched, strict=False):
         pushes = pushes + c * unseen_in_signal(signal, step).amount
@@ -124,9 +141,31 @@ def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]) ->
 def _pushes(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
     """What may hide in w, which pushes the sliding variable."""
     parts = [unseen_in_signal(loop.disturbance, step), unseen_in_reference(loop.reference, loop.order, step)]
-    if not is_known(loop.plant):
-        parts.append(unseen(lambda t: loop.plant.drift(t, at(t)), step))
+    plant = loop.plant
+    if isinstance(plant, AbstractStateSpace):
+        # The disturbance is in it, wherever it enters.
+        free = lambda t: plant.vector_field(t, at(t), loop.disturbance(t))  # noqa: E731
+        pushed = lambda t: jnp.asarray(loop.control.surface(plant.output_rates(t, at(t), free(t))))  # noqa: E731
+        return joined([unseen(pushed, step), *parts[1:]])
+    if not is_known(plant):
+        parts.append(unseen(lambda t: plant.drift(t, at(t)), step))
     return joined(parts)
+
+
+def _in_states(loop: ClosedLoop, step: Step, at: Path, sizes: Scalars, u: RealScalarLike) -> RealScalarLike:
+    """How far a state of a plant in its own coordinates could move unseen, in parts of the given sizes; 0.0 in chains.
+
+    What enters where the sliding variable does not see it yet would be found too late there. `u` is the largest input.
+    """
+    plant = loop.plant
+    if not isinstance(plant, AbstractStateSpace):
+        return 0.0
+    found = []
+    for i, size in enumerate(sizes):
+        rate = lambda t, i=i: plant.vector_field(t, at(t), loop.disturbance(t))[i]  # noqa: E731
+        reach = lambda t, i=i: plant.input_matrix(t, at(t))[i]  # noqa: E731
+        found.append(step.length * (unseen(rate, step).amount + unseen(reach, step).amount * u) / size)
+    return ft.reduce(jnp.maximum, found)
 
 
 def _gain(loop: ClosedLoop, step: Step, at: Path) -> tuple[RealScalarLike, RealScalarLike]:
@@ -135,7 +174,7 @@ def _gain(loop: ClosedLoop, step: Step, at: Path) -> tuple[RealScalarLike, RealS
     if is_known(loop.plant):
         low, high = gain_range(loop.plant)
         return 0.0, jnp.minimum(sign * low, sign * high)
-    found = unseen(lambda t: sign * loop.plant.gain(t, at(t)), step)
+    found = unseen(lambda t: sign * loop.gain(t, at(t)), step)
     return found.amount, found.low
 
 

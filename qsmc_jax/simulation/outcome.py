@@ -25,6 +25,7 @@ class Outcome(enum.IntEnum):
     QUEUE_FULL = 8
     UNRESOLVED = 9
     SOLVES_DISAGREE = 10
+    DRIFTED = 11
 
     @property
     def advice(self) -> str:
@@ -53,4 +54,6 @@ _ADVICE = {
     "`Implementation` above the delay over the period.",
     Outcome.SOLVES_DISAGREE: "One solve says that the run held and another that it was violated, and no two "
     "independent ones agree: lower `rtol`, and look for something short in time.",
+    Outcome.DRIFTED: "What the state and the funnel coordinate say of the sliding variable differs by more than "
+    "1e-3 of the funnel, or than the margin: lower `rtol`.",
 }

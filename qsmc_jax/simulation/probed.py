@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.enclosures.unseen import Nodes, Step, Unseen, unseen
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.components import components
 from qsmc_jax.model.unseen import is_known, unseen_in_reference, unseen_in_signal
 
 _NODES = Nodes((0.0, 0.5, 1.0), few=(0.0, 0.5, 1.0))
@@ -30,16 +31,15 @@ def probed_functions(loop: ClosedLoop) -> tuple[str, ...]:
         for signal in () if loop.implementation is None else loop.implementation.unmatched:
             parts[f"`{type(signal).__name__}`"] = unseen_in_signal(signal, step)
         if not is_known(loop.plant):
-            for name in ("drift", "gain"):
-                method = getattr(loop.plant, name)
-                path = lambda t, method=method: method(t, tuple(xi * t for xi in x))  # noqa: E731
+            for name, each in components(loop.plant).items():
+                path = lambda t, each=each: each(loop.plant, t, tuple(xi * t for xi in x), t)  # noqa: E731
                 parts[f"`{name}` of `{type(loop.plant).__name__}`"] = unseen(path, step)
         found.update({name: part.probed for name, part in parts.items()})
         return jnp.zeros(())
 
     number = jax.ShapeDtypeStruct((), float)
     with in_64_bits():
-        jax.eval_shape(look, number, number, (number,) * loop.order)
+        jax.eval_shape(look, number, number, (number,) * loop.states)
     listed = {name: ", ".join(f"`{operation}`" for operation in names) for name, names in found.items() if names}
     return tuple(f"{name} ({operations})" for name, operations in listed.items())
 

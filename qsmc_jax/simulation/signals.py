@@ -29,7 +29,7 @@ _DEFAULT_TIMES = 2001
 class GridSignals(NamedTuple):
     """All signals of one run, by the names they have in a `Trajectory`; NaN after its end."""
 
-    x: Float[Array, "times n"]
+    x: Float[Array, "times states"]
     desired: Float[Array, "times n"]
     e: Float[Array, "times n"]
     sigma: Float[Array, " times"]
@@ -71,7 +71,7 @@ def solve_along(
         made_of: As for `pose`.
         own: Metrics and requirements of the study.
     """
-    start, ts = tuple(x0[i] for i in range(loop.order)), jnp.asarray(ts)
+    start, ts = tuple(x0[i] for i in range(loop.states)), jnp.asarray(ts)
     problem = pose(loop, start, bandwidth, settings, made_of, own)
     metrics, saved = solve(problem, start, t1, settings, jnp.minimum(ts, t1), is_drawn_well)
     read = _ideal if loop.implementation is None else _implemented
@@ -89,7 +89,7 @@ def solve_along(
 def signals_at_start(loop: ClosedLoop, x0: Float[np.ndarray, " n"]) -> Signals:
     """The signals at time 0 without input, as metrics see them."""
     e, desired, rho = loop.errors(0.0, tuple(x0)), loop.desired(0.0), loop.control.funnel(0.0)
-    balance, sigma = loop.balance(0.0, e, desired), jnp.asarray(loop.control.surface(e))
+    balance, sigma = loop.balance(0.0, tuple(x0), e, desired), jnp.asarray(loop.control.surface(e))
     driven = balance.disturbance, balance.residual, balance.gain
     return Signals(np.zeros(()), tuple(x0), desired[:-1], e, sigma, rho, sigma / rho, np.zeros(()), *driven)
 

@@ -14,6 +14,7 @@ from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.simulation.settings import Method, SolverSettings
 
 # Up to this stiffness an explicit method's steps are short for accuracy, not for stability, and half as dear. Measured
@@ -45,20 +46,25 @@ def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike, made_of: Hashable =
     """
     if loop.implementation is not None:
         return 0.0
-    return _decays(loop, jnp.asarray(t1), made_of)
+    return _decays(loop, jnp.asarray(x0), jnp.asarray(t1), made_of)
 
 
 @eqx.filter_jit
-def _decays(loop: ClosedLoop, t1: Array, made_of: Hashable) -> Array:
+def _decays(loop: ClosedLoop, x0: Array, t1: Array, made_of: Hashable) -> Array:
     del made_of  # by which the program is kept
     fractions = (np.arange(_INSTANTS) + 0.5) / _INSTANTS
-    rates = jax.vmap(lambda t: _decay_rate(loop, t))(t1 * fractions**3)
+    rates = jax.vmap(lambda t: _decay_rate(loop, x0, t))(t1 * fractions**3)
     return t1 * jnp.sum(rates * 3.0 * fractions**2) / _INSTANTS
 
 
-def _decay_rate(loop: ClosedLoop, t: Array) -> Array:
-    """The rate at which a deviation of the sliding variable decays at time t, where the errors are zero [1/s]."""
-    balance = loop.balance(t, (0.0,) * loop.order, loop.desired(t))
+def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
+    """The rate at which a deviation of the sliding variable decays at time t, where the errors are zero [1/s].
+
+    In a plant in its own coordinates nobody knows where that is: at the start's state.
+    """
+    rest, desired = (0.0,) * loop.order, loop.desired(t)
+    is_chain = isinstance(loop.plant, AbstractPlant)
+    balance = loop.balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
     rho, rho_rate = loop.control.funnel.width_and_rate(t)
     gain = jnp.abs(balance.gain)
     input_ = (jnp.abs(balance.residual) + jnp.abs(rho_rate)) / jnp.where(gain > 0.0, gain, 1.0)

@@ -20,6 +20,7 @@ from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.state_jumps import require_no_state_jumps
+from qsmc_jax.model.state_space import AbstractStateSpace, require_relative_degree
 from qsmc_jax.simulation.contents import brought
 from qsmc_jax.simulation.finite import require_finite_functions
 from qsmc_jax.simulation.outcome import Outcome
@@ -35,7 +36,7 @@ class Trajectory(AbstractModule):
 
     Attributes:
         ts: Times [s].
-        x: States, one row a time.
+        x: States, one row a time, in the plant's coordinates.
         desired: Desired output and its first n - 1 derivatives, one row a time.
         e: Errors e^(0) ... e^(n-1), one row a time.
         sigma: Sliding variable.
@@ -57,7 +58,7 @@ class Trajectory(AbstractModule):
     """
 
     ts: Float[Array | np.ndarray, " times"]
-    x: Float[Array | np.ndarray, "times n"]
+    x: Float[Array | np.ndarray, "times states"]
     desired: Float[Array | np.ndarray, "times n"]
     e: Float[Array | np.ndarray, "times n"]
     sigma: Float[Array | np.ndarray, " times"]
@@ -138,8 +139,9 @@ class Trajectory(AbstractModule):
         return as_frame(self.columns(), "t")
 
     def to_xarray(self) -> Any:
-        """The signals as an `xarray.Dataset` over t [s] and the derivative; needs the extra `notebook`."""
-        wide = {name: (("t", "derivative"), np.asarray(getattr(self, name))) for name in ("x", "desired", "e")}
+        """The signals as an `xarray.Dataset` over t [s], the state and the derivative; needs the extra `notebook`."""
+        wide = {name: (("t", "derivative"), np.asarray(getattr(self, name))) for name in ("desired", "e")}
+        wide["x"] = ("t", self.loop.axis), np.asarray(self.x)
         flat = {name: ("t", np.asarray(getattr(self, name))) for name in ("sigma", "rho", "u", "d")}
         coordinates = {"t": ("t", np.asarray(self.ts), {"units": "s"}), "derivative": np.arange(self.loop.order)}
         attributes = {"verdict": self.verdict.name, "bandwidth": float(self.bandwidth)}
@@ -276,12 +278,16 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
 
     Traced numbers pass.
     """
-    require_shape("x0", x0, (loop.order,), f"the plant has order {loop.order}")
+    require_shape("x0", x0, (loop.states,), f"the plant has {_sized(loop)}")
     require_finite("x0", x0)
     require_positive("t1", t1)
     if loop.implementation is not None:
         loop.implementation.check(loop.order, t1)
     require_consistent(loop.reference, loop.order, t1)
+
+
+def _sized(loop: ClosedLoop) -> str:
+    return f"order {loop.order}" if loop.states == loop.order else f"{loop.states} states"
 
 
 def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
@@ -291,6 +297,8 @@ def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     study such things are an outcome, and it must be possible to look at it.
     """
     require_no_state_jumps(loop.plant)
+    if isinstance(loop.plant, AbstractStateSpace):
+        require_relative_degree(loop.plant, x0)
     require_finite_functions(loop, x0, t1)
 
 

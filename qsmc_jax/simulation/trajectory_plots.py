@@ -100,7 +100,7 @@ def _colours(count: int) -> list[str]:
 
 
 def _output(ax: Any, run: Any, colour: str, label: str) -> None:
-    ax.plot(run.ts, run.x[:, 0], color=colour, label=label or "y")
+    ax.plot(run.ts, run.e[:, 0] + run.desired[:, 0], color=colour, label=label or "y")
 
 
 def _errors(ax: Any, runs: tuple[Any, ...]) -> None:

@@ -27,7 +27,7 @@ def contents(scenario: Callable[[Any], Any], measures: tuple[AbstractMeasure, ..
     draw = PointDraw()
     with in_64_bits():
         nominal = scenario(draw)
-    own = ((f"{kind_of(each)} `{each.name}`", _measure(each, nominal.loop.order)) for each in measures)
+    own = ((f"{kind_of(each)} `{each.name}`", _measure(each, nominal.loop.sizes)) for each in measures)
     return (("scenario", _scenario(scenario, dimension(draw.specs))), *functions_of(nominal.loop), *own)
 
 
@@ -68,9 +68,9 @@ class Made:
             )
 
 
-def _measure(measure: AbstractMeasure, order: int) -> str:
+def _measure(measure: AbstractMeasure, sizes: tuple[int, int]) -> str:
     """Its programs, its windows, and how its parts are joined."""
-    first, *others = (program_of(measure, part, order) for part in measure.parts)
+    first, *others = (program_of(measure, part, sizes) for part in measure.parts)
     windows = [(type(part).__name__, part.after, part.before) for part in measure.parts]
     return digest(first, others, windows, [record.unit for record in measure.records], measure.form)
 

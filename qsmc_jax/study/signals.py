@@ -36,6 +36,7 @@ class SignalBatch:
         rho: Funnel half-width, (runs, times).
         u: Control input, (runs, times).
         d: Disturbance, (runs, times).
+        axis: What the states are numbered by, "derivative", or "state" for a plant in its own coordinates.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -48,32 +49,34 @@ class SignalBatch:
 
     ts: Float[np.ndarray, " times"]
     runs: Runs
-    x: Float[np.ndarray, "runs times n"]
+    x: Float[np.ndarray, "runs times states"]
     desired: Float[np.ndarray, "runs times n"]
     e: Float[np.ndarray, "runs times n"]
     sigma: Float[np.ndarray, "runs times"]
     rho: Float[np.ndarray, "runs times"]
     u: Float[np.ndarray, "runs times"]
     d: Float[np.ndarray, "runs times"]
+    axis: str = "derivative"
 
     def __len__(self) -> int:
         return len(self.runs)
 
     def to_xarray(self) -> Any:
         """The signals as an `xarray.Dataset` over run, t [s] and the derivative; needs the extra `notebook`."""
-        wide = {name: (("run", "t", "derivative"), getattr(self, name)) for name in _PER_DERIVATIVE}
+        axes = {"x": self.axis}
+        wide = {name: (("run", "t", axes.get(name, "derivative")), getattr(self, name)) for name in _PER_DERIVATIVE}
         flat = {name: (("run", "t"), getattr(self, name)) for name in _SINGLE}
         coordinates = {
             "run": self.runs["index"],
             "t": ("t", self.ts, {"units": "s"}),
-            "derivative": np.arange(self.x.shape[-1]),
+            "derivative": np.arange(self.e.shape[-1]),
         }
         return as_dataset({**wide, **flat}, coordinates, {})
 
     __repr__ = short_repr
 
     def __str__(self) -> str:
-        order, times = self.x.shape[-1], len(self.ts)
+        order, times = self.e.shape[-1], len(self.ts)
         return f"{len(self)} runs of order {order} at {times} times, {self.ts[0]:g} to {self.ts[-1]:g} s"
 
 
@@ -127,4 +130,4 @@ def signals(
         signals_of.append([signal[: len(piece.rows)] for signal in solved_run.signals])
     order = np.argsort(np.concatenate(rows))
     together = (np.concatenate(each)[order] for each in zip(*signals_of, strict=True))
-    return SignalBatch(grid, concatenate(solved).take(order), *together)
+    return SignalBatch(grid, concatenate(solved).take(order), *together, axis=study.nominal.loop.axis)

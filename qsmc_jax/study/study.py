@@ -199,7 +199,7 @@ class Study:
         """What is known of the columns that this study alone has, by their names."""
         drawn = {column: Record(column, f"Drawn by the study: {s.kind}") for s in self.specs for column in s.columns}
         for measure in self.measures:
-            drawn.update(records_in(measure, self.nominal.loop.order))
+            drawn.update(records_in(measure, self.nominal.loop.sizes))
         return drawn
 
     def record_of(self, column: str) -> Record:

@@ -22,7 +22,7 @@ _LOG = logging.getLogger(__name__)
 SAMPLE = 512
 
 # Columns that are not metrics, apart from drawn names and verdicts: they describe the solve.
-_NO_METRICS = ("index", "tier", "outcome", "steps")
+_NO_METRICS = ("index", "tier", "outcome", "steps", "coordinate_drift")
 
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 

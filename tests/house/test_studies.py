@@ -17,6 +17,7 @@ CLAIMED = {
 LONG = {
     "duffing": qj.Verdict.HELD,
     "cooling": qj.Verdict.HELD,
+    "flexible_joint": qj.Verdict.HELD,
     "example1_implemented": qj.Verdict.HELD,
     "paper_example2": qj.Verdict.HELD,
     "example1_uncertain": qj.Verdict.HELD,

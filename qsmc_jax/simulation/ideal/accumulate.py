@@ -12,11 +12,10 @@ from jaxtyping import Array, Bool
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.accumulate import States, first_states
 from qsmc_jax.metrics.accumulate import add_step as add_own
 from qsmc_jax.numerics import pytrees
-from qsmc_jax.numerics.gudermann import sinh_cosh
+from qsmc_jax.numerics.gudermann import margin, sinh_cosh
 from qsmc_jax.numerics.hermite import Cubic, Quartic, cubics, integral_of_square
 from qsmc_jax.simulation.ideal.step import IdealStep, Step, as_scalars, no_step
 from qsmc_jax.simulation.problem import Problem
@@ -35,11 +34,18 @@ class Peak(AbstractModule):
     y: Scalars
 
 
+class Drift(AbstractModule):
+    """How far apart the coordinates' two ways to tell sigma/rho got at most, and the least margin beyond that."""
+
+    largest: RealScalarLike
+    room: RealScalarLike
+
+
 class RunningMetrics(AbstractModule):
     """The running metrics of one run, all scalars; see `Metrics` for what becomes of them.
 
     `u` and `gain` are |u| and the gain, times its sign, at the end of the last step; `unsettled` is the last step in
-    which an error reached its bound.
+    which an error reached its bound; `drift` is None where the coordinates can't.
     """
 
     errors: Scalars
@@ -55,12 +61,14 @@ class RunningMetrics(AbstractModule):
     least_gain: RealScalarLike
     largest_disturbance: RealScalarLike
     own: States
+    drift: Drift | None = None
 
 
 class _End(AbstractModule):
-    """What the metrics need at one end of a step: errors e^(0) ... e^(n), sigma and s with their rates, u = sinh s."""
+    """What the metrics need at one end of a step: errors, sigma and s with their rates, u = sinh s."""
 
     errors: Scalars
+    error_rates: Scalars
     sigma: RealScalarLike
     sigma_rate: RealScalarLike
     s: RealScalarLike
@@ -73,7 +81,7 @@ def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
     loop, zero = problem.loop, jnp.zeros(())
     x0 = problem.coordinates.state(loop, zero, y0)
     s0 = problem.coordinates.funnel_coordinate(loop, zero, y0)
-    gain = jnp.asarray(loop.control.gain_sign * loop.plant.gain(zero, x0))
+    gain = jnp.asarray(loop.control.gain_sign * loop.gain(zero, x0))
     return RunningMetrics(
         errors=as_scalars(loop.errors(zero, x0)),
         u=sinh_cosh(s0)[0],
@@ -88,6 +96,7 @@ def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
         least_gain=gain,
         largest_disturbance=jnp.asarray(jnp.abs(loop.disturbance(zero))),
         own=first_states(problem.measures, IdealStep(no_step(y0), problem)),
+        drift=_first_drift(problem, y0, s0),
     )
 
 
@@ -101,13 +110,15 @@ def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMe
     s = Cubic(left.s, right.s, h * left.s_rate, h * right.s_rate)
     sigma = Cubic(left.sigma, right.sigma, h * left.sigma_rate, h * right.sigma_rate)
     steady_from = jnp.clip((problem.reaching_time - step.t0) / jnp.where(h > 0.0, h, 1.0), 0.0, 1.0)
-    heights = problem.barrier(tuple(cubic.largest(steady_from) for cubic in _error_cubics(left, right, h)))
+    error_cubics = cubics(h, left.errors, right.errors, left.error_rates, right.error_rates)
+    heights = problem.barrier(tuple(cubic.largest(steady_from) for cubic in error_cubics))
     sigma_height = problem.barrier(sigma.largest())
     exceeds = problem.barrier.claim(_exceeds(problem, heights, left.errors))
     peak = _peak(problem, step, s)
-    gain, disturbance = _premises(loop, t1, right.errors)
+    x1 = problem.coordinates.state_of(loop, t1, step.y1, right.errors)
+    gain, disturbance = loop.control.gain_sign * loop.gain(t1, x1), jnp.abs(loop.disturbance(t1))
     return RunningMetrics(
-        errors=as_scalars(right.errors[:-1]),
+        errors=as_scalars(right.errors),
         u=u1,
         peak=pytrees.where(peak.height > running.peak.height, peak, running.peak),
         outside=pytrees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), running.outside),
@@ -117,12 +128,25 @@ def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMe
         ),
         total_variation=running.total_variation + _variation_of_input(left.u, s.stations()[1:-1], right.u),
         energy=running.energy + h * _mean_square_of_input(left.u, s, right.u),
-        squared_error=running.squared_error + integral_of_square(h, left.errors[:2], right.errors[:2]),
+        squared_error=running.squared_error + _squared_error(h, left, right),
         gain=jnp.asarray(gain),
         least_gain=jnp.minimum(running.least_gain, gain),
         largest_disturbance=jnp.maximum(running.largest_disturbance, disturbance),
         own=add_own(problem.measures, running.own, IdealStep(step, problem)),
+        drift=_drift(problem, running.drift, step, peak),
     )
+
+
+def _first_drift(problem: Problem, y0: Scalars, s0: RealScalarLike) -> Drift | None:
+    drift = problem.coordinates.drift(problem.loop, jnp.zeros(()), y0)
+    return None if drift is None else Drift(drift, margin(s0) - drift)
+
+
+def _drift(problem: Problem, running: Drift | None, step: Step, peak: Peak) -> Drift | None:
+    drift = problem.coordinates.drift(problem.loop, step.t1, step.y1)
+    if drift is None or running is None:
+        return None
+    return Drift(jnp.maximum(drift, running.largest), jnp.minimum(margin(peak.height) - drift, running.room))
 
 
 def _peak(problem: Problem, step: Step, s: Cubic) -> Peak:
@@ -135,25 +159,19 @@ def _peak(problem: Problem, step: Step, s: Cubic) -> Peak:
 
 
 def _end(problem: Problem, t: RealScalarLike, errors: Scalars, u: RealScalarLike, y: Scalars, dy: Scalars) -> _End:
-    """One end of a step. The rate of sigma, and so e^(n), follows from that of s: right on either side of a jump."""
+    """One end of a step. The rate of sigma, and so those of the errors, follow from that of s, at jumps too."""
     surface = problem.loop.control.surface
     rho, rho_rate = problem.loop.control.funnel.width_and_rate(t)
     s, s_rate = problem.coordinates.funnel_motion(problem.loop, t, y, dy)
     sigma, cosh = surface(errors), jnp.sqrt(1.0 + u * u)
     sigma_rate = (2.0 / jnp.pi * rho * s_rate) / cosh + sigma * rho_rate / rho
-    last = sigma_rate - surface((*errors[1:], 0.0))
-    return _End((*errors, last), sigma, sigma_rate, s, s_rate, u)
+    rates = problem.coordinates.error_rates(problem.loop, t, y, dy, errors, sigma_rate)
+    return _End(errors, rates, sigma, sigma_rate, s, s_rate, u)
 
 
-def _premises(loop: ClosedLoop, t: RealScalarLike, errors: Scalars) -> tuple[RealScalarLike, RealScalarLike]:
-    """gain_sign * g, which should be positive, and |d|, which should not exceed its bound."""
-    x = loop.state(errors[:-1], loop.desired(t))
-    return loop.control.gain_sign * loop.plant.gain(t, x), jnp.abs(loop.disturbance(t))
-
-
-def _error_cubics(left: _End, right: _End, h: RealScalarLike) -> list[Cubic]:
-    """Each error in the step; the slope of one is the value of the next."""
-    return cubics(h, left.errors[:-1], right.errors[:-1], left.errors[1:], right.errors[1:])
+def _squared_error(h: RealScalarLike, left: _End, right: _End) -> RealScalarLike:
+    """The integral of e^2 over the step."""
+    return integral_of_square(h, *((end.errors[0], end.error_rates[0]) for end in (left, right)))
 
 
 def _exceeds(problem: Problem, heights: Scalars, left: Scalars) -> Bool[Array, ""]:

@@ -31,6 +31,20 @@ class AbstractCoordinates(AbstractModule):
         """The errors e^(0) ... e^(n-1), given `y` and its derivative `dy`."""
 
     @abc.abstractmethod
+    def state_of(self, loop: ClosedLoop, t: RealScalarLike, y: State, errors: State) -> Scalars:
+        """The physical state, given `y` and the errors."""
+
+    @abc.abstractmethod
+    def error_rates(
+        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State, errors: State, sigma_rate: RealScalarLike
+    ) -> Scalars:
+        """The rates of the errors, given these, `y` with its derivative `dy`, and the sliding variable's."""
+
+    @abc.abstractmethod
+    def drift(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike | None:
+        """How far apart two ways to tell sigma/rho are; None if there is but one."""
+
+    @abc.abstractmethod
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
         """The funnel coordinate s."""
 
@@ -68,13 +82,25 @@ class FunnelCoordinates(AbstractCoordinates):
         rho, rho_rate = control.funnel.width_and_rate(t)
         errors = _errors(loop, rho, y)
         sinh, cosh = sinh_cosh(y[-1])
-        balance = loop.balance(t, errors, loop.desired(t))
+        desired = loop.desired(t)
+        balance = loop.balance(t, loop.state(errors, desired), errors, desired)
         sigma_rate = balance.residual - balance.gain * control.gain_sign * sinh
         return (*errors[1:], cosh * (0.5 * jnp.pi * sigma_rate - gd(y[-1]) * rho_rate) / rho)
 
     def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
         """Each error is the derivative of the one before."""
         return (y[0], *dy[:-1]) if loop.order > 1 else _errors(loop, loop.control.funnel(t), y)
+
+    def state_of(self, loop: ClosedLoop, t: RealScalarLike, y: State, errors: State) -> Scalars:
+        return loop.state(errors, loop.desired(t))
+
+    def error_rates(
+        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State, errors: State, sigma_rate: RealScalarLike
+    ) -> Scalars:
+        return (*errors[1:], sigma_rate - loop.control.surface((*errors[1:], 0.0)))
+
+    def drift(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike | None:
+        return None
 
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
         return y[-1]
@@ -104,15 +130,24 @@ class PhysicalCoordinates(AbstractCoordinates):
     def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
         return loop.errors(t, y)
 
+    def state_of(self, loop: ClosedLoop, t: RealScalarLike, y: State, errors: State) -> Scalars:
+        return tuple(y)
+
+    def error_rates(
+        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State, errors: State, sigma_rate: RealScalarLike
+    ) -> Scalars:
+        return loop.error_rates(t, y, dy)
+
+    def drift(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike | None:
+        return None
+
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
         return funnel_coordinate(loop.sliding_variable(t, y) / loop.control.funnel(t))
 
     def funnel_motion(
         self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
     ) -> tuple[RealScalarLike, RealScalarLike]:
-        desired = loop.desired(t)
-        errors = tuple(yi - di for yi, di in zip(y, desired, strict=False))
-        rates = tuple(dyi - di for dyi, di in zip(dy, desired[1:], strict=True))
+        errors, rates = loop.errors(t, y), loop.error_rates(t, y, dy)
         surface, (rho, rho_rate) = loop.control.surface, loop.control.funnel.width_and_rate(t)
         ratio = surface(errors) / rho
         s = funnel_coordinate(ratio)
@@ -128,8 +163,3 @@ def _errors(loop: ClosedLoop, rho: RealScalarLike, y: State) -> Scalars:
     """The errors from the funnel coordinate: the last is what the others leave of sigma."""
     others = loop.control.surface((*y[:-1], 0.0))
     return (*y[:-1], 2.0 / jnp.pi * rho * gd(y[-1]) - others)
-
-
-def named_coordinates(name: str) -> AbstractCoordinates:
-    """The coordinates that `SolverSettings.coordinates` names."""
-    return {"funnel": FunnelCoordinates, "physical": PhysicalCoordinates}[name]()

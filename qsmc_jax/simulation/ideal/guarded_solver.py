@@ -122,7 +122,8 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         if not isinstance(self.method, Rosenbrock):
             local = jnp.maximum(local, (_decay(args, t0, t1, running) / _STABLE) ** _STABLE_STEEPNESS)
         step, ys = Stretch(t0, t1, self.method.nodes), (y0.y, dense["middle"], y1)
-        unseen = hidden(args, step, ys, (jnp.abs(y0.running.u), jnp.abs(running.u)), self.settings.rtol)
+        us, tolerances = (jnp.abs(y0.running.u), jnp.abs(running.u)), self.settings
+        unseen = hidden(args, step, ys, us, tolerances.rtol, tolerances.atol / tolerances.rtol)
         y1, error = kept1, StepError(jnp.where(is_sound, local, jnp.inf), unseen)
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)

@@ -27,6 +27,8 @@ from qsmc_jax.simulation.spans import is_since, last_outside
 _IMMINENT = 1e-12
 # By what part of their size signals may be wrong, over the square root of the relative tolerance.
 _RESOLUTION = 0.02
+# By how much coordinates may disagree on sigma/rho.
+_DRIFT = 1e-3
 # Soon, also relative to the time: a run at the funnel's edge is outside if the gain is gone within that time.
 _SOON = 1e-10
 
@@ -79,6 +81,7 @@ def read_metrics(problem: Problem, final: FinalState) -> Metrics:
         least_gain=running.least_gain,
         largest_disturbance=running.largest_disturbance,
         steps=final.steps,
+        coordinate_drift=None if running.drift is None else jnp.asarray(running.drift.largest),
         own=read_states(problem.measures, running.own, IdealStep(no_step(final.run.y), problem), extent),
     )
 
@@ -90,6 +93,7 @@ def _outcome(problem: Problem, final: FinalState) -> Int[Array, ""]:
     is_far = result == dfx.RESULTS.event_occurred
     leaves = (is_stuck | is_far) & _is_leaving(problem, final, is_far)
     cases = (
+        (_has_drifted(final), Outcome.DRIFTED),
         (result == dfx.RESULTS.successful, Outcome.COMPLETED),
         (leaves | (is_stuck & _is_thrown_out(problem, final)), Outcome.LEFT_FUNNEL),
         (is_far, Outcome.BEYOND_RESOLUTION),
@@ -97,6 +101,15 @@ def _outcome(problem: Problem, final: FinalState) -> Int[Array, ""]:
         (is_stuck, Outcome.STEP_TOO_SMALL),
     )
     return first_to_apply(final.refused, cases, Outcome.MAX_STEPS)
+
+
+def _has_drifted(final: FinalState) -> Bool[Array, ""]:
+    """Whether the coordinates disagree on the sliding variable by more than is allowed, or than the margin then."""
+    drift = final.run.running.drift
+    if drift is None:
+        return jnp.array(False)
+    is_large = (drift.largest > _DRIFT) | (drift.room < 0.0)
+    return jnp.asarray(is_large) & jnp.asarray(final.result == dfx.RESULTS.successful)
 
 
 def _escape_time(problem: Problem, final: FinalState, has_left: Bool[Array, ""]) -> RealScalarLike:
@@ -125,21 +138,16 @@ def _is_leaving(problem: Problem, final: FinalState, is_far: BoolScalarLike) -> 
     left = 2.0 / jnp.where(speed > 0.0, speed, 1.0)
     instant = jnp.where(is_far, left, _IMMINENT * t)
     x = problem.coordinates.state(loop, t, y)
-    pushes_back = _pushes_back(loop, t, x) & _pushes_back(loop, t + instant, _moved(x, instant))
+    pushes_back = _pushes_back(loop, t, x) & _pushes_back(loop, t + instant, loop.coasted(t, x, instant))
     is_fast = (s * s_rate > 0.0) & (speed * instant > 1.0)
     # A run that the input holds at the edge until the gain is gone creeps there, at a speed that rounding decides.
-    soon, pull = _SOON * t, loop.balance(t, loop.errors(t, x), loop.desired(t)).residual
+    soon, pull = _SOON * t, loop.balance(t, x, loop.errors(t, x), loop.desired(t)).residual
     is_carried_out = (s * pull > 0.0) & (margin(s) * loop.control.funnel(t) <= jnp.abs(pull) * soon)
-    return (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, _moved(x, soon)))
+    return (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, loop.coasted(t, x, soon)))
 
 
 def _pushes_back(loop: ClosedLoop, t: RealScalarLike, x: Scalars) -> BoolScalarLike:
-    return jnp.asarray(loop.control.gain_sign * loop.plant.gain(t, x) > 0.0)
-
-
-def _moved(x: Scalars, dt: RealScalarLike) -> Scalars:
-    """The state a moment later, as far as it is a chain of integrators."""
-    return tuple(xi + dt * xj for xi, xj in zip(x, (*x[1:], 0.0), strict=True))
+    return jnp.asarray(loop.control.gain_sign * loop.gain(t, x) > 0.0)
 
 
 def _is_thrown_out(problem: Problem, final: FinalState) -> BoolScalarLike:
@@ -186,7 +194,8 @@ def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike
     Source: the step "contradiction" in the proof of Theorem 1, made quantitative.
     """
     loop, t = problem.loop, peak.time
-    balance = loop.balance(t, loop.errors(t, problem.coordinates.state(loop, t, peak.y)), loop.desired(t))
+    x = problem.coordinates.state(loop, t, peak.y)
+    balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
     _, rho_rate = loop.control.funnel.width_and_rate(t)
     gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
     at_peak = (jnp.abs(balance.residual) + jnp.abs(rho_rate)) / jnp.abs(gain)

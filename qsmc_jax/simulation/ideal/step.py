@@ -61,8 +61,8 @@ def ideal_signals(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
     loop, coordinates = problem.loop, problem.coordinates
     x, desired, rho = coordinates.state(loop, t, y), loop.desired(t), loop.control.funnel(t)
     s = coordinates.funnel_coordinate(loop, t, y)
-    e = tuple(xi - di for xi, di in zip(x, desired, strict=False))
-    balance, u = loop.balance(t, e, desired), -loop.control.gain_sign * sinh_cosh(s)[0]
+    e = loop.errors(t, x)
+    balance, u = loop.balance(t, x, e, desired), -loop.control.gain_sign * sinh_cosh(s)[0]
     part, (d, w, g) = ratio(s), (balance.disturbance, balance.residual, balance.gain)
     return Signals(t, x, desired[:-1], e, rho * part, rho, part, u, d, w, g)
 

@@ -1,0 +1,235 @@
+"""Plants in their own coordinates: any states, internal ones among them, and disturbances wherever they enter."""
+
+import abc
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import is_traced, require
+from qsmc_jax.base.module import AbstractModule, require_fields
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
+from qsmc_jax.model.kinks import as_times
+from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, require_number, trace
+
+# States around the start at which a relative degree is looked at, how far around, and what counts as nothing.
+_STATES, _AROUND, _NOTHING = 8, 0.1, 1e-12
+
+_Output = Callable[[RealScalarLike, Scalars], RealScalarLike]
+
+
+class AbstractStateSpace(AbstractModule):
+    r"""A plant in its own coordinates, $\dot x = f(t, x, d) + G(t, x) u$, $y = h(t, x)$, with one input.
+
+    Subclass it with class attributes `states` (the number of states) and `relative_degrees` (one number r: how often y
+    is differentiated until u shows), and the three methods; write them with `jax.numpy`. The errors are $e^{(k)} =
+    L_f^k h - x_{des}^{(k)}$, k = 0..r-1, derivatives along f without disturbance: what a controller works out from the
+    state. Where d enters before u does (unmatched), they are not the derivatives of the tracking error. States beyond
+    these r, the internal dynamics, are simulated, recorded and required about, but nothing keeps them bounded: that is
+    the plant's own affair.
+
+    Examples:
+        A pendulum on a flexible joint would have r = 4; here is a motor with a tank that it fills:
+
+        >>> import qsmc_jax as qj
+        >>> class Motor(qj.AbstractStateSpace):
+        ...     states, relative_degrees = 3, (2,)
+        ...     def vector_field(self, t, x, d):
+        ...         return x[1], -x[1] + d, x[0] - x[2]
+        ...     def input_matrix(self, t, x):
+        ...         return 0.0, 4.0, 0.0
+        ...     def output(self, t, x):
+        ...         return x[0]
+        >>> [float(each) for each in Motor().outputs(0.0, (0.5, 3.0, 0.1))]
+        [0.5, 3.0]
+    """
+
+    hint: ClassVar[str] = "Derive from `qj.AbstractStateSpace`, or from `qj.AbstractPlant` for a chain of integrators."
+
+    states: eqx.AbstractClassVar[int]
+    relative_degrees: eqx.AbstractClassVar[tuple[int, ...]]
+
+    def __check_init__(self):
+        require_fields(self)
+        _require_state_space(self)
+
+    @property
+    def order(self) -> int:
+        """The relative degree r: the number of errors."""
+        return self.relative_degrees[0]
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        """Times [s] at which a method jumps or kinks as a function of time; see `AbstractPlant.break_times`."""
+        return jnp.zeros((0,))
+
+    @abc.abstractmethod
+    def vector_field(self, t: RealScalarLike, x: State, d: RealScalarLike) -> Scalars:
+        """The states' rates without input, f(t, x, d), continuous in x.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of N scalars.
+            d: Value of the loop's disturbance, which enters where you put it.
+
+        Returns:
+            N scalars.
+        """
+
+    @abc.abstractmethod
+    def input_matrix(self, t: RealScalarLike, x: State) -> Scalars:
+        """What a unit of input adds to each rate, G(t, x), continuous in x.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of N scalars.
+
+        Returns:
+            N scalars.
+        """
+
+    @abc.abstractmethod
+    def output(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        """The output y = h(t, x), which the reference is for: r times differentiable.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of N scalars.
+
+        Returns:
+            A scalar.
+        """
+
+    def outputs(self, t: RealScalarLike, x: State) -> Scalars:
+        """The output and its derivatives along f without disturbance, r scalars.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of N scalars.
+        """
+        found, derivative = [], self.output
+        for _ in range(self.order):
+            found.append(jnp.asarray(derivative(t, x), float))
+            derivative = self._along(derivative)
+        return tuple(found)
+
+    def output_rates(self, t: RealScalarLike, x: State, rates: Scalars) -> Scalars:
+        """The rates of `outputs` where the state has the given ones, r scalars.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of N scalars.
+            rates: Rates of the state, N scalars.
+        """
+        return self.outputs_in_motion(t, x, rates)[1]
+
+    def outputs_in_motion(
+        self, t: RealScalarLike, x: State, rates: Scalars, time: float = 1.0
+    ) -> tuple[Scalars, Scalars]:
+        """`outputs` with their rates, r scalars each.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of N scalars.
+            rates: Rates of the state, N scalars.
+            time: The rate of time: 0 if it stands still.
+        """
+        return jax.jvp(self.outputs, *_primals_and_tangents(t, x, rates, time))
+
+    def gains(self, t: RealScalarLike, x: State) -> Scalars:
+        """What a unit of input adds to the rates of `outputs`, r scalars: 0 but for the last, if r is the right one.
+
+        Args:
+            t: Time [s].
+            x: State, a tuple of N scalars.
+        """
+        return self.outputs_in_motion(t, x, self.input_matrix(t, x), time=0.0)[1]
+
+    def _along(self, function: _Output) -> _Output:
+        """The derivative of a function of time and state along f without disturbance."""
+
+        def derivative(t: RealScalarLike, x: State) -> RealScalarLike:
+            as_number = lambda t, x: jnp.asarray(function(t, x), float)  # noqa: E731
+            return jax.jvp(as_number, *_primals_and_tangents(t, x, self.vector_field(t, x, 0.0), 1.0))[1]
+
+        return derivative
+
+
+def _primals_and_tangents(t: RealScalarLike, x: State, rates: Scalars, time: float) -> tuple[Any, Any]:
+    """What `jvp` is given of a time and a state, and of their rates."""
+    as_floats = lambda values: tuple(jnp.asarray(value, float) for value in values)  # noqa: E731
+    return (jnp.asarray(t, float), as_floats(x)), (jnp.asarray(time, float), as_floats(rates))
+
+
+@once_per_structure
+def _require_state_space(plant: AbstractStateSpace) -> None:
+    """Raises unless the methods can be traced and return what they should."""
+    owner, states, degrees = f"`{type(plant).__name__}`", plant.states, plant.relative_degrees
+    is_one = isinstance(degrees, tuple) and len(degrees) == 1
+    require(is_one, f"Attribute `relative_degrees` of {owner} must hold one number, such as (2,), but is {degrees!r}.")
+    fits = isinstance(degrees[0], int) and 1 <= degrees[0] <= states
+    require(fits, f"The relative degree of {owner} must lie in 1 ... {states}, its `states`, but is {degrees[0]}.")
+    number = jax.ShapeDtypeStruct((), float)
+    takes = f"a time and a state of {states} numbers x[0] ... x[{states - 1}]"
+    state = (number,) * states
+    calls: dict[str, tuple[Callable[..., Any], str, tuple[Any, ...]]] = {
+        "vector_field": (lambda plant, t, d, *x: plant.vector_field(t, x, d), f"{takes} and a disturbance", (number,)),
+        "input_matrix": (lambda plant, t, *x: plant.input_matrix(t, x), takes, ()),
+        "output": (lambda plant, t, *x: plant.output(t, x), takes, ()),
+    }
+    for method, (call, what, more) in calls.items():
+        name = f"`{method}` of {owner}"
+        _, result = trace(name, what, plant, call, number, *more, *state)
+        if method == "output":
+            require_number(name, result, f"Index the state: x[0] ... x[{states - 1}].")
+            continue
+        is_list = isinstance(result, tuple | list) and len(result) == states
+        fits = is_list and all(is_number(each) or isinstance(each, int | float) for each in result)
+        require(fits, f"{name} must return {states} numbers, one a state, but returns {described(result)}.")
+    trace(
+        f"The derivatives of `output` of {owner}", takes, plant, lambda plant, t, *x: plant.gains(t, x), number, *state
+    )
+    trace(f"`break_times` of {owner}", "nothing", plant, lambda plant: as_times(plant.break_times))
+
+
+def require_relative_degree(plant: AbstractStateSpace, x0: Any) -> None:
+    """Raises unless the input shows in the r-th derivative of the output and in none before; traced numbers pass.
+
+    It is looked at where the run starts, and at states around.
+
+    Args:
+        plant: The plant.
+        x0: The start, N numbers.
+
+    Raises:
+        InputError: The relative degree is another one.
+    """
+    if is_traced(plant, x0):
+        return
+    x0 = np.asarray(x0, float)
+    around = np.random.default_rng(0).uniform(-_AROUND, _AROUND, (_STATES, len(x0))) * (1.0 + np.abs(x0))
+    gains = np.asarray(_gains_at(plant, np.concatenate([x0[None, :], x0 + around])))
+    gains = gains[np.isfinite(gains).all(axis=1)]
+    size, owner = np.abs(gains).max(initial=0.0), f"Attribute `relative_degrees` of `{type(plant).__name__}`"
+    shows = np.flatnonzero((np.abs(gains) > _NOTHING * size).any(axis=0))
+    require(
+        len(shows) > 0,
+        f"{owner} must say in which derivative of the output the input shows, but in the first {plant.order} it does "
+        f"not: say {plant.order + 1}, or more.",
+    )
+    require(
+        int(shows[0]) == plant.order - 1,
+        f"{owner} must be the first derivative of the output in which the input shows, but is {plant.order}, and it "
+        f"shows in derivative {shows[0] + 1}: say {shows[0] + 1}.",
+    )
+
+
+@entry_point
+def _gains_at(plant: AbstractStateSpace, points: Float[np.ndarray, "states n"]) -> Float[Array, "states r"]:
+    at = lambda x: jnp.stack(plant.gains(0.0, tuple(x[i] for i in range(plant.states))))  # noqa: E731
+    return jax.vmap(at)(jnp.asarray(points))
