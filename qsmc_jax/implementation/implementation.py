@@ -110,9 +110,9 @@ class Implementation(AbstractModule):
 
     At the instant $t_k = (k + j_k)\tau$ the controller has the states as they were `measurement_delay` before (at
     time 0 at the earliest), plus noise, rounded; the reference and the funnel it knows exactly. From them it computes a
-    command, which is rounded, saturated and limited in its rate, in this order. The command arrives at the actuator
-    `delay` later and is held until the next one. Before the first arrives, it is 0. Everything but the period is off by
-    default, at no cost; every number may be drawn.
+    command, which is rounded, kept in its range and limited in its rate, in this order. The command arrives at the
+    actuator `delay` later and is held until the next one. Before the first arrives, it is 0. Everything but the period
+    is off by default, at no cost; every number may be drawn.
 
     Attributes:
         sample_period: The period $\tau$ [s] of the zero-order hold, positive.
@@ -120,6 +120,7 @@ class Implementation(AbstractModule):
         delay: Time [s] from a sample to the input it leads to: of computation or transport; any number, not negative.
         measurement_delay: Age [s] of what is measured, not negative.
         saturation: Largest absolute command, positive.
+        input_range: Least and largest command, such as (0, 4) for a magnet that can only pull; they may be infinite.
         rate_limit: Largest change of the command per time, positive; before the first sample it was 0.
         measurement_resolution: Steps to which the states are rounded, n numbers, not negative; 0 for none.
         input_resolution: Step to which the command is rounded, not negative; 0 for none.
@@ -149,6 +150,7 @@ class Implementation(AbstractModule):
     delay: Float[Array, ""] | None = float_field(default=None)
     measurement_delay: Float[Array, ""] | None = float_field(default=None)
     saturation: Float[Array, ""] | None = float_field(default=None)
+    input_range: Float[Array, " 2"] | None = float_field(default=None)
     rate_limit: Float[Array, ""] | None = float_field(default=None)
     measurement_resolution: Float[Array, " n"] | None = float_field(default=None)
     input_resolution: Float[Array, ""] | None = float_field(default=None)
@@ -171,6 +173,8 @@ class Implementation(AbstractModule):
             part = getattr(self, name)
             ok = part is None or isinstance(part, kind)
             require(ok, f"Argument `{name}` must be {_KINDS[name]} or None, but is {part!r}.")
+        if self.input_range is not None:
+            _require_range(self.input_range)
         if self.unmatched:
             require_disturbances("unmatched", self.unmatched)
         known = get_args(Beyond)
@@ -229,6 +233,8 @@ class Implementation(AbstractModule):
             command = _rounded(command, self.input_resolution)
         if self.saturation is not None:
             command = jnp.clip(command, -self.saturation, self.saturation)
+        if self.input_range is not None:
+            command = jnp.clip(command, self.input_range[0], self.input_range[1])
         if self.rate_limit is not None:
             reach = self.rate_limit * self.sample_period
             command = jnp.clip(command, last - reach, last + reach)
@@ -248,6 +254,7 @@ class Implementation(AbstractModule):
             horizon: The horizon [s].
         """
         claims = [getattr(self, name) > 0.0 for name in _POSITIVE if getattr(self, name) is not None]
+        claims += [] if self.input_range is None else [self.input_range[0] < self.input_range[1]]
         claims += [jnp.all(getattr(self, name) >= 0.0) for name in _NOT_NEGATIVE if getattr(self, name) is not None]
         claims += [getattr(self, name) <= horizon for name in _DELAYS if getattr(self, name) is not None]
         claims += [getattr(self, name).is_valid() for name in _PARTS if getattr(self, name) is not None]
@@ -313,6 +320,14 @@ def random_jitter(draw: Draw, name: str, fraction: RealScalarLike) -> Jitter:
         ['jitter.seed']
     """
     return Jitter(fraction, draw.uniform(f"{name}.seed", 0.0, 1.0))
+
+
+def _require_range(limits: Any) -> None:
+    """Raises unless there are two numbers, the smaller one first; traced ones pass."""
+    require(np.shape(limits) == (2,), f"Argument `input_range` must be two numbers, but has shape {np.shape(limits)}.")
+    if not is_traced(limits):
+        low, high = map(float, limits)
+        require(low < high, f"Argument `input_range` must have low < high, but is ({show(low)}, {show(high)}).")
 
 
 def _rounded(value: RealScalarLike, step: Any) -> RealScalarLike:
