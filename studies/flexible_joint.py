@@ -72,6 +72,5 @@ def scenario(draw):
 study = qj.Study(
     scenario,
     bandwidth=5.0,
-    metrics=[qj.metrics.Peak("bend", lambda s: jnp.abs(s.x[1]), unit="rad")],
     requirements={"spring": qj.always(lambda s: 1.0 - jnp.abs(s.x[1]), unit="rad")},
 )
