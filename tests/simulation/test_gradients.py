@@ -43,11 +43,10 @@ def example(number, is_sampled, draw):
 
 
 NAMES = ("mu", "rho_inf", "rho0", "pole", "scale", "start")
+# Both engines, and both orders: each of the four costs most of a minute.
 CASES = [
-    pytest.param(1, False, id="example 1"),
     pytest.param(1, True, id="example 1 sampled"),
     pytest.param(2, False, id="example 2"),
-    pytest.param(2, True, id="example 2 sampled"),
 ]
 
 
