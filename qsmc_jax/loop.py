@@ -59,7 +59,7 @@ class ClosedLoop(AbstractModule):
         plant: The plant, of order n: a chain of integrators, or in its own coordinates (`AbstractStateSpace`, for the
             ideal loop; n is its relative degree then).
         reference: The desired output $x_{des}(t)$, at least n times differentiable.
-        disturbance: The matched disturbance $d(t)$.
+        disturbance: The disturbance $d(t)$, matched in a chain.
         control: The controller with its surface (n - 1 coefficients) and funnel.
         implementation: How the controller is implemented; None for the ideal loop.
 
@@ -156,28 +156,16 @@ class ClosedLoop(AbstractModule):
         return tuple(yi - di for yi, di in zip(self.plant.outputs(t, x), self.desired(t), strict=False))
 
     def errors_in_motion(self, t: RealScalarLike, x: State, rates: Scalars) -> tuple[Scalars, Scalars]:
-        """The errors with their rates where the state has the given ones, of a plant in its own coordinates.
+        """The errors with their rates where the state has the given ones, n scalars each.
 
         Args:
             t: Time [s].
             x: State.
             rates: Its rates.
         """
-        desired = self.desired(t)
-        outputs, moving = cast(AbstractStateSpace, self.plant).outputs_in_motion(t, x, rates)
+        desired, (outputs, moving) = self.desired(t), self.plant.outputs_in_motion(t, x, rates)
         errors = tuple(yi - di for yi, di in zip(outputs, desired, strict=False))
         return errors, tuple(yi - di for yi, di in zip(moving, desired[1:], strict=True))
-
-    def error_rates(self, t: RealScalarLike, x: State, rates: Scalars) -> tuple[RealScalarLike, ...]:
-        """The rates of the errors where the state has the given ones, n scalars.
-
-        Args:
-            t: Time [s].
-            x: State.
-            rates: Its rates.
-        """
-        outputs = self.plant.output_rates(t, x, rates)
-        return tuple(yi - di for yi, di in zip(outputs, self.desired(t)[1:], strict=True))
 
     def sliding_variable(self, t: RealScalarLike, x: State) -> RealScalarLike:
         r"""The sliding variable $\sigma$, paper eq. (2).
@@ -209,7 +197,7 @@ class ClosedLoop(AbstractModule):
         """
         d = self.disturbance(t)
         if isinstance(self.plant, AbstractStateSpace):
-            rates = self.error_rates(t, x, self.plant.vector_field(t, x, d))
+            _, rates = self.errors_in_motion(t, x, self.plant.vector_field(t, x, d))
             return Balance(self.control.surface(rates), self.gain(t, x), d)
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
         return Balance(residual, self.plant.gain(t, x), d)
@@ -250,23 +238,18 @@ class ClosedLoop(AbstractModule):
         return tuple(xi + dt * rate for xi, rate in zip(x, rates, strict=True))
 
     def terms(self, t: RealScalarLike, x: State) -> Terms:
-        """What moves the plant at time t and state x, apart from the input.
+        """What moves a chain of integrators at time t and state x, apart from the input.
 
         Args:
             t: Time [s].
             x: State, n scalars.
         """
-        implementation, plant = self.implementation, self._chain
+        implementation, plant = self.implementation, cast(AbstractPlant, self.plant)
         gain = plant.gain(t, x)
         if implementation is not None and implementation.gain_fault is not None:
             gain = gain * implementation.gain_fault(t)
         unmatched = () if implementation is None else tuple(signal(t) for signal in implementation.unmatched)
         return Terms(plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
-
-    @property
-    def _chain(self) -> AbstractPlant:
-        """The plant, where it must be a chain of integrators."""
-        return cast(AbstractPlant, self.plant)
 
     def rates(self, terms: Terms, x: State, u: RealScalarLike) -> Scalars:
         """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`.

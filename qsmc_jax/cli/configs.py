@@ -17,7 +17,7 @@ def config_of(study_file: Path, overrides: list[str], metrics: str | None = None
 
     source = Source.read(study_file)
     study = load_study(source, overrides)
-    study = study if metrics is None else study.asking(*metrics.split(","))
+    study = study if metrics is None else study.asking(*(name.strip() for name in metrics.split(",")))
     return CampaignConfig(study, source.content, files=source.files, **options)
 
 

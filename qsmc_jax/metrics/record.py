@@ -51,6 +51,11 @@ class Record:
     may_jump: bool = False
 
     @property
+    def attributes(self) -> dict[str, str]:
+        """The unit, as xarray has it; nothing where there is none."""
+        return {"units": self.unit} if self.unit else {}
+
+    @property
     def axis(self) -> str:
         """The label with the unit."""
         return f"{self.label or self.name} [{self.unit}]" if self.unit else self.label or self.name

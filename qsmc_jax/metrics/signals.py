@@ -12,16 +12,16 @@ class Signals(NamedTuple):
 
     Attributes:
         t: Time [s].
-        x: State.
+        x: State: n scalars, or as many as a plant in its own coordinates has.
         desired: Desired output and its first n - 1 derivatives.
         e: Errors e^(0) ... e^(n-1).
         sigma: Sliding variable.
         rho: Half-width of the funnel.
         ratio: sigma/rho [-].
         u: Input of the plant.
-        d: Matched disturbance.
+        d: Disturbance, matched in a chain.
         w: What drives the sliding variable apart from the input, in $\dot\sigma = w + g u$.
-        g: Gain of the plant.
+        g: Gain, by which the input drives the sliding variable.
 
     Examples:
         >>> import qsmc_jax as qj

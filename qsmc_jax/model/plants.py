@@ -60,15 +60,15 @@ class AbstractPlant(AbstractModule):
         """
         return tuple(x)
 
-    def output_rates(self, t: RealScalarLike, x: State, rates: Scalars) -> Scalars:
-        """The rates of `outputs` where the state has the given ones, n scalars.
+    def outputs_in_motion(self, t: RealScalarLike, x: State, rates: Scalars) -> tuple[Scalars, Scalars]:
+        """`outputs` with their rates, n scalars each: the state's own.
 
         Args:
             t: Time [s].
             x: State, a tuple of n scalars.
             rates: Rates of the state, n scalars.
         """
-        return tuple(rates)
+        return tuple(x), tuple(rates)
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:

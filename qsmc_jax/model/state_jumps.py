@@ -15,6 +15,8 @@ from qsmc_jax.model.crossings import in_batches, jumps, switches, with_decisions
 from qsmc_jax.model.kinks import may_jump
 from qsmc_jax.tracing.traceable import once_per_structure, trace
 
+# The disturbance while the state is looked at: not 0, by which what jumps may be multiplied.
+_DISTURBANCE = 0.7320508
 _BASES = 24  # states through which the axes are followed
 _MOST = 2048  # switches looked at along an axis
 
@@ -31,7 +33,7 @@ def _suspects(plant: Any) -> tuple[str, ...]:
     number = jax.ShapeDtypeStruct((), float)
     found = []
     for method, component in components(plant).items():
-        call = lambda plant, t, *x, component=component: component(plant, t, x, 0.0)  # noqa: E731
+        call = lambda plant, t, *x, component=component: component(plant, t, x, _DISTURBANCE)  # noqa: E731
         program, _ = trace(f"`{method}`", "a time and a state", plant, call, number, *(number,) * plant.states)
         if may_jump(program, plant.states):
             found.append(method)
@@ -93,7 +95,7 @@ def _evaluated(plant: Any, method: str, points: Any) -> tuple[Any, Any]:
     """Value and decisions at points (t, x), a row each."""
 
     def function(t: Any, *x: Any) -> Any:
-        return jnp.asarray(components(plant)[method](plant, t, x, 0.0), dtype=float)
+        return jnp.asarray(components(plant)[method](plant, t, x, _DISTURBANCE), dtype=float)
 
     return jax.vmap(lambda point: with_decisions(function, tuple(point)))(points)
 

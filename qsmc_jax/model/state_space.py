@@ -118,16 +118,6 @@ class AbstractStateSpace(AbstractModule):
             derivative = self._along(derivative)
         return tuple(found)
 
-    def output_rates(self, t: RealScalarLike, x: State, rates: Scalars) -> Scalars:
-        """The rates of `outputs` where the state has the given ones, r scalars.
-
-        Args:
-            t: Time [s].
-            x: State, a tuple of N scalars.
-            rates: Rates of the state, N scalars.
-        """
-        return self.outputs_in_motion(t, x, rates)[1]
-
     def outputs_in_motion(
         self, t: RealScalarLike, x: State, rates: Scalars, time: float = 1.0
     ) -> tuple[Scalars, Scalars]:

@@ -124,8 +124,10 @@ class RobustnessMap(AbstractResult):
             for claim, each in self.claims.items()
             for key, value in vars(each).items()
         }
-        units = {key: {"units": unit} if (unit := self.study.record_of(key).unit) else {} for key in self.medians}
-        medians = {f"median.{key}": (self.names, value, units[key]) for key, value in self.medians.items()}
+        medians = {
+            f"median.{key}": (self.names, value, self.study.record_of(key).attributes)
+            for key, value in self.medians.items()
+        }
         attributes = {"runs": self.runs, "seed": self.seed, "confidence": self.confidence}
         return as_dataset({**found, **medians}, dict(zip(self.names, self.grids, strict=True)), attributes)
 

@@ -128,6 +128,7 @@ def _solve_ideal(
     end = jnp.where(is_admitted, horizon, 0.0)
     times = None if ts is None else jnp.where(is_admitted, ts, 0.0)
     start = problem.coordinates.start(problem.loop, x0)
+    # Where that is not a number, the start itself will do: as it is, and where s comes beside it with a 0.
     y0 = pytrees.where(is_admitted, start, (*x0, 0.0)[: len(start)])
     run0 = Run(y0, first_metrics(problem, y0))
     solution = dfx.diffeqsolve(

@@ -65,10 +65,7 @@ def hidden(
     at = _path(problem, step, ys)
     pushes = _pushes(loop, step, at)
     amount_of_gain, lowest = _gain(loop, step, at)
-    jump, in_states = (
-        _discontinuity(loop, step),
-        _in_states(loop, step, at, _sizes(problem, step, ys, least), jnp.maximum(*us)),
-    )
+    jump, in_states = _discontinuity(loop, step), _in_states(loop, step, at, jnp.maximum(*us), least)
     k = 0.5 * jnp.pi / loop.control.funnel(t1)
     # By an exponent of 1 at most may a small s grow in a step in which the gain may push outwards.
     growth = step.length * k * jnp.maximum(-lowest, 0.0)
@@ -80,16 +77,9 @@ def hidden(
     is_held = lowest > 0.0
     balanced = jnp.where(is_held, amount / (jnp.where(is_held, lowest, 1.0) * least_cosh), jnp.inf)
     moves = jnp.minimum(step.length * k * cosh * amount, balanced) + k * cosh * jump
-    moves = jnp.maximum(moves, in_states) if not is_nothing(in_states) else moves
+    moves = moves if is_nothing(in_states) else jnp.maximum(moves, in_states)
     moves = jnp.where(jnp.isnan(moves), jnp.inf, moves)
     return jnp.maximum(moves / _worth(rtol), growth)
-
-
-def _sizes(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars], least: RealScalarLike) -> Scalars:
-    """How large the states are in the step, or as small as counts."""
-    state = problem.coordinates.state
-    ends = zip(state(problem.loop, step.t0, ys[0]), state(problem.loop, step.t1, ys[2]), strict=True)
-    return tuple(jnp.maximum(jnp.maximum(jnp.abs(a), jnp.abs(b)), least) for a, b in ends)
 
 
 def hidden_in_cell(
@@ -145,15 +135,15 @@ def _pushes(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
     if isinstance(plant, AbstractStateSpace):
         # The disturbance is in it, wherever it enters.
         free = lambda t: plant.vector_field(t, at(t), loop.disturbance(t))  # noqa: E731
-        pushed = lambda t: jnp.asarray(loop.control.surface(plant.output_rates(t, at(t), free(t))))  # noqa: E731
+        pushed = lambda t: loop.control.surface(plant.outputs_in_motion(t, at(t), free(t))[1])  # noqa: E731
         return joined([unseen(pushed, step), *parts[1:]])
     if not is_known(plant):
         parts.append(unseen(lambda t: plant.drift(t, at(t)), step))
     return joined(parts)
 
 
-def _in_states(loop: ClosedLoop, step: Step, at: Path, sizes: Scalars, u: RealScalarLike) -> RealScalarLike:
-    """How far a state of a plant in its own coordinates could move unseen, in parts of the given sizes; 0.0 in chains.
+def _in_states(loop: ClosedLoop, step: Step, at: Path, u: RealScalarLike, least: RealScalarLike) -> RealScalarLike:
+    """How far a state of a plant in its own coordinates could move unseen, in parts of its size; 0.0 in chains.
 
     What enters where the sliding variable does not see it yet would be found too late there. `u` is the largest input.
     """
@@ -161,7 +151,8 @@ def _in_states(loop: ClosedLoop, step: Step, at: Path, sizes: Scalars, u: RealSc
     if not isinstance(plant, AbstractStateSpace):
         return 0.0
     found = []
-    for i, size in enumerate(sizes):
+    for i, ends in enumerate(zip(at(step.t0), at(step.t1), strict=True)):
+        size = ft.reduce(jnp.maximum, map(jnp.abs, ends), least)
         rate = lambda t, i=i: plant.vector_field(t, at(t), loop.disturbance(t))[i]  # noqa: E731
         reach = lambda t, i=i: plant.input_matrix(t, at(t))[i]  # noqa: E731
         found.append(step.length * (unseen(rate, step).amount + unseen(reach, step).amount * u) / size)

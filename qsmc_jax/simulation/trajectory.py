@@ -297,9 +297,9 @@ def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     study such things are an outcome, and it must be possible to look at it.
     """
     require_no_state_jumps(loop.plant)
+    require_finite_functions(loop, x0, t1)
     if isinstance(loop.plant, AbstractStateSpace):
         require_relative_degree(loop.plant, x0)
-    require_finite_functions(loop, x0, t1)
 
 
 _solve_along = entry_point(eqx.filter_jit(solve_along))

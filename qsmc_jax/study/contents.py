@@ -10,7 +10,7 @@ import numpy as np
 
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import in_64_bits
-from qsmc_jax.metrics.check import kind_of, program_of
+from qsmc_jax.metrics.check import Sizes, kind_of, program_of
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.simulation.contents import Contents, functions_of
 from qsmc_jax.study.draw import PointDraw, dimension
@@ -68,7 +68,7 @@ class Made:
             )
 
 
-def _measure(measure: AbstractMeasure, sizes: tuple[int, int]) -> str:
+def _measure(measure: AbstractMeasure, sizes: Sizes) -> str:
     """Its programs, its windows, and how its parts are joined."""
     first, *others = (program_of(measure, part, sizes) for part in measure.parts)
     windows = [(type(part).__name__, part.after, part.before) for part in measure.parts]

@@ -151,8 +151,8 @@ class Runs:
 
     def to_xarray(self) -> Any:
         """The table as an `xarray.Dataset` over the dimension `run`, with units; needs the extra `notebook`."""
-        units = {name: {"units": unit} if (unit := self.record_of(name).unit) else {} for name in self.columns}
-        variables = {name: ("run", each, units[name]) for name, each in self.columns.items() if name != "index"}
+        variables = {name: ("run", each, self.record_of(name).attributes) for name, each in self.columns.items()}
+        del variables["index"]
         return as_dataset(variables, {"run": self["index"]}, {})
 
     def _repr_html_(self) -> str:

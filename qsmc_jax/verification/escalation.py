@@ -139,7 +139,7 @@ def is_near(tables: Sequence[Runs]) -> Bool[np.ndarray, "claims rows"]:
 def breaches_bound(table: Runs) -> Bool[np.ndarray, " rows"]:
     """Rows that HELD with a higher peak than the comparison lemma allows, where its premise on g holds.
 
-    None if the study does not ask for `peak_u_bound`.
+    A study that does not ask for `peak_u_bound` has no such rows.
     """
     if "peak_u_bound" not in table:
         return np.zeros(len(table), bool)

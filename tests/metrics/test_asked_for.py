@@ -113,7 +113,7 @@ def qsmc(*arguments):
 @pytest.mark.slow
 def test_a_campaign_keeps_what_it_was_asked_for(tmp_path):
     verify = "verify", STUDY, "--runs", 128, "--block", 64, "--no-cache", "--out", tmp_path / "run"
-    asked = "--metrics", "claims,energy_u"
+    asked = "--metrics", "claims, energy_u"
     first = qsmc(*verify, *asked)
     assert first.exit_code == 0, first.output
     rows = qj.load(tmp_path / "run")

@@ -167,12 +167,15 @@ def test_the_funnel_coordinate_comes_back_to_what_the_state_says():
             assert float(rate) == pytest.approx(-FUNNEL[1] * float(value), rel=1e-9)
 
 
-def test_a_run_whose_coordinates_disagree_by_more_than_is_allowed_is_undecided(monkeypatch):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_run_whose_coordinates_disagree_by_more_than_is_allowed_is_undecided(monkeypatch, sign):
+    """Also one that leaves, as by the wrong sign: from what has drifted nobody knows that it did."""
     monkeypatch.setattr(read, "_DRIFT", 1e-16)
-    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), STILL)
+    control = qj.QuasiSlidingControl(qj.SlidingSurface([]), STILL, sign)
     loop = qj.ClosedLoop(Strict(1.0, False), qj.references.Constant(0.0), qj.disturbances.Sine(0.4, 3.0), control)
     run = qj.simulate(loop, [0.3, 1.0], 5.0, bandwidth=STILL_BANDWIDTH)
     assert run.outcome is qj.Outcome.DRIFTED
+    assert run.verdict is qj.Verdict.UNDECIDED
 
 
 class Kick(qj.AbstractDisturbance):
@@ -314,6 +317,18 @@ class Rough(Tank):
         return x[1], d, -jnp.sign(x[2])
 
 
+class Driven(Tank):
+    def vector_field(self, t, x, d):
+        """The disturbance pushes one way or the other, by the level."""
+        return x[1], d * jnp.sign(x[2]), -x[2]
+
+
+class Root(Tank):
+    def output(self, t, x):
+        """No number where the level is negative."""
+        return x[0] + jnp.sqrt(x[2])
+
+
 class Two(Tank):
     relative_degrees: ClassVar[tuple[int, ...]] = (1, 1)
 
@@ -330,6 +345,11 @@ BAD = {
     "two": (lambda: Two(), "must hold one number, such as (2,)"),
     "short": (lambda: Short(), "`input_matrix` of `Short` must return 3 numbers, one a state, but returns 2 of them"),
     "rough": (lambda: started(Rough, [1.0]), "`vector_field[2]` of `Rough` must be continuous in the state"),
+    "driven": (lambda: started(Driven, [1.0]), "`vector_field[1]` of `Driven` must be continuous in the state"),
+    "root": (
+        lambda: started(Root, [1.0], (0.4, 0.2, -0.3)),
+        "`output` of `Root` must be finite, but is nan at t = 0 s",
+    ),
     "start": (lambda: started(Tank, [1.0], (0.4, 0.2)), "the plant has 3 states"),
     "surface": (lambda: started(Scaled, [1.0]), "must have 0 coefficients"),
     "implementation": (

@@ -59,7 +59,23 @@ class AbstractCoordinates(AbstractModule):
         """The error that one step may make in each coordinate, whose size is given: the relative part, the absolute."""
 
 
-class FunnelCoordinates(AbstractCoordinates):
+class AbstractFunnelCoordinates(AbstractCoordinates):
+    """Coordinates of which the last is the funnel coordinate."""
+
+    def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
+        return y[-1]
+
+    def funnel_motion(
+        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
+    ) -> tuple[RealScalarLike, RealScalarLike]:
+        return y[-1], dy[-1]
+
+    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
+        absolute = (*(settings.atol,) * (len(size) - 1), settings.funnel_atol)
+        return tuple(settings.rtol * each for each in size), absolute
+
+
+class FunnelCoordinates(AbstractFunnelCoordinates):
     r"""$y = (e^{(0)}, \dots, e^{(n-2)}, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$.
 
     In it the law is $u = -\operatorname{sgn}(g) \sinh s$ and
@@ -102,18 +118,6 @@ class FunnelCoordinates(AbstractCoordinates):
     def drift(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike | None:
         return None
 
-    def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
-        return y[-1]
-
-    def funnel_motion(
-        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
-    ) -> tuple[RealScalarLike, RealScalarLike]:
-        return y[-1], dy[-1]
-
-    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
-        absolute = (*(settings.atol,) * (len(size) - 1), settings.funnel_atol)
-        return tuple(settings.rtol * each for each in size), absolute
-
 
 class PhysicalCoordinates(AbstractCoordinates):
     """`y = x`. The law is NaN outside the funnel, so a step with a stage out there is never kept."""
@@ -136,7 +140,7 @@ class PhysicalCoordinates(AbstractCoordinates):
     def error_rates(
         self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State, errors: State, sigma_rate: RealScalarLike
     ) -> Scalars:
-        return loop.error_rates(t, y, dy)
+        return loop.errors_in_motion(t, y, dy)[1]
 
     def drift(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike | None:
         return None
@@ -147,7 +151,7 @@ class PhysicalCoordinates(AbstractCoordinates):
     def funnel_motion(
         self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
     ) -> tuple[RealScalarLike, RealScalarLike]:
-        errors, rates = loop.errors(t, y), loop.error_rates(t, y, dy)
+        errors, rates = loop.errors_in_motion(t, y, dy)
         surface, (rho, rho_rate) = loop.control.surface, loop.control.funnel.width_and_rate(t)
         ratio = surface(errors) / rho
         s = funnel_coordinate(ratio)

@@ -6,11 +6,15 @@ from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.numerics.gudermann import funnel_coordinate, gd, ratio, sinh_cosh
-from qsmc_jax.simulation.ideal.coordinates import AbstractCoordinates, FunnelCoordinates, PhysicalCoordinates
-from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.ideal.coordinates import (
+    AbstractCoordinates,
+    AbstractFunnelCoordinates,
+    FunnelCoordinates,
+    PhysicalCoordinates,
+)
 
 
-class LiftedCoordinates(AbstractCoordinates):
+class LiftedCoordinates(AbstractFunnelCoordinates):
     r"""$y = (x_1, \dots, x_N, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$.
 
     The law acts on s, $u = -\operatorname{sgn}(g) \sinh s$, so that there is no pole to step over; and $\dot s = \cosh
@@ -43,22 +47,10 @@ class LiftedCoordinates(AbstractCoordinates):
     def error_rates(
         self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State, errors: State, sigma_rate: RealScalarLike
     ) -> Scalars:
-        return loop.error_rates(t, tuple(y[:-1]), tuple(dy[:-1]))
-
-    def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
-        return y[-1]
-
-    def funnel_motion(
-        self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
-    ) -> tuple[RealScalarLike, RealScalarLike]:
-        return y[-1], dy[-1]
+        return loop.errors_in_motion(t, tuple(y[:-1]), tuple(dy[:-1]))[1]
 
     def drift(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike | None:
         return jnp.abs(loop.sliding_variable(t, tuple(y[:-1])) / loop.control.funnel(t) - ratio(y[-1]))
-
-    def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
-        absolute = (*(settings.atol,) * (len(size) - 1), settings.funnel_atol)
-        return tuple(settings.rtol * each for each in size), absolute
 
 
 def named_coordinates(name: str, loop: ClosedLoop) -> AbstractCoordinates:
