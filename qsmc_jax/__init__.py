@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from qsmc_jax import paper as paper
     from qsmc_jax.base.errors import InputError as InputError
     from qsmc_jax.control import controllers as controllers
+    from qsmc_jax.control import funnels as funnels
     from qsmc_jax.control import thresholds as thresholds
     from qsmc_jax.control.control import Sample as Sample
+    from qsmc_jax.control.funnel import AbstractFunnel as AbstractFunnel
     from qsmc_jax.control.funnel import Funnel as Funnel
     from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
     from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
@@ -79,6 +81,7 @@ if TYPE_CHECKING:
 # imports above.
 _HOMES = {
     "InputError": "qsmc_jax.base.errors",
+    "AbstractFunnel": "qsmc_jax.control.funnel",
     "Funnel": "qsmc_jax.control.funnel",
     "QuasiSlidingControl": "qsmc_jax.control.law",
     "Sample": "qsmc_jax.control.control",
@@ -136,6 +139,7 @@ _NAMESPACES = {
     "campaign": "qsmc_jax.campaign",
     "controllers": "qsmc_jax.control.controllers",
     "disturbances": "qsmc_jax.model.disturbances",
+    "funnels": "qsmc_jax.control.funnels",
     "metrics": "qsmc_jax.metrics",
     "noises": "qsmc_jax.implementation.noises",
     "objectives": "qsmc_jax.tuning.objectives",

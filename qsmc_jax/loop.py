@@ -176,6 +176,15 @@ class ClosedLoop(AbstractModule):
         """
         return self.control.surface(self.errors(t, x))
 
+    def ratio(self, t: RealScalarLike, x: State) -> RealScalarLike:
+        r"""Where in the funnel the sliding variable is, $z = (\sigma - m) / \rho$, inside for $|z| < 1$.
+
+        Args:
+            t: Time [s].
+            x: State, n scalars.
+        """
+        return (self.sliding_variable(t, x) - self.control.funnel.centre(t)) / self.control.funnel(t)
+
     def input(self, t: RealScalarLike, x: State) -> RealScalarLike:
         """The input u of the ideal loop, paper eq. (4); NaN outside the funnel, where the law is not defined.
 
@@ -184,7 +193,7 @@ class ClosedLoop(AbstractModule):
             x: State, n scalars.
         """
         law: Any = self.control  # a `QuasiSlidingControl`: the constructor sees to it
-        return law(self.sliding_variable(t, x), self.control.funnel(t))
+        return law(self.sliding_variable(t, x) - law.funnel.centre(t), law.funnel(t))
 
     def balance(self, t: RealScalarLike, x: State, errors: State, desired: State) -> Balance:
         """The terms of the sliding variable's derivative; callers have `self.errors(t, x)` and `self.desired(t)`.
@@ -274,7 +283,7 @@ class ClosedLoop(AbstractModule):
     @property
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
-        parts = [self.plant, self.reference, self.disturbance, self.implementation]
+        parts = [self.plant, self.reference, self.disturbance, self.control.funnel, self.implementation]
         return jnp.concatenate([as_times(part.break_times) for part in parts if part is not None])
 
 

@@ -130,7 +130,7 @@ MISTAKES = {
         lambda: qj.Scenario(loop(reference=Turn(lambda t, order: (jnp.sin(t), jnp.cos(t), 0.0))), [0.9, 0.9], 2.0),
         "Derivative 2 of `Turn` must be the derivative in time of derivative 1, but at t = .* s it is 0 instead of",
     ),
-    "smooth in numpy": (lambda: qj.references.Smooth(np.sin), f"Argument `fn` of `references.Smooth` {INSTEAD}"),
+    "smooth in numpy": (lambda: qj.references.Smooth(np.sin), f"Argument `fn` of `Smooth` {INSTEAD}"),
     "smooth a number": (lambda: qj.references.Smooth(1.0), "must be a function of time, but calling it says"),
     "list for a number": (
         lambda: qj.plants.InvertedPendulum(mass=[0.1, 0.2]),

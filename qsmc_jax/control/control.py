@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require_positive, require_sign
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.surface import SlidingSurface
 
 Beyond: TypeAlias = Literal["saturate", "wrap"]
@@ -31,6 +31,8 @@ class Sample(NamedTuple):
         desired: Desired output and its first n derivatives, n + 1 scalars.
         beyond: What a law that is made for the funnel does outside: `"saturate"` holds the value it has just inside
             the edge; `"wrap"` evaluates the formula as it stands, which for the tangent has the wrong sign.
+        centre: Centre of the funnel.
+        errors: The errors e^(0) ... e^(n-1) as measured, n scalars.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -46,13 +48,21 @@ class Sample(NamedTuple):
     rho: RealScalarLike
     desired: Scalars
     beyond: Beyond = "saturate"
+    centre: RealScalarLike = 0.0
+    errors: Scalars = ()
+
+    @property
+    def output(self) -> Scalars:
+        """The output y and its first n - 1 derivatives as measured, n scalars."""
+        return tuple(ei + di for ei, di in zip(self.errors, self.desired, strict=False))
 
     def inside(self) -> RealScalarLike:
-        """The sliding variable at which a law that is made for the funnel is evaluated."""
+        """The sliding variable, from the funnel's centre, at which a law that is made for the funnel is evaluated."""
+        deviation = self.sigma - self.centre
         if self.beyond == "wrap":
-            return self.sigma
+            return deviation
         edge = (1.0 - _EDGE) * self.rho
-        return jnp.clip(self.sigma, -edge, edge)
+        return jnp.clip(deviation, -edge, edge)
 
 
 class AbstractControl(AbstractModule):
@@ -60,7 +70,7 @@ class AbstractControl(AbstractModule):
 
     Attributes:
         surface: Sliding surface.
-        funnel: Funnel: what the loop is judged by, whether or not the law makes use of it.
+        funnel: AbstractFunnel: what the loop is judged by, whether or not the law makes use of it.
         gain_sign: The sign of the control gain g, 1 or -1.
         positive: Names of the law's own numbers that must be positive.
         is_smooth: Whether the law has a derivative; one that switches by a sign has none that tuning could use.
@@ -69,7 +79,7 @@ class AbstractControl(AbstractModule):
     hint: ClassVar[str] = "Use `qj.QuasiSlidingControl(surface, funnel)` or one of `qj.controllers`."
 
     surface: eqx.AbstractVar[SlidingSurface]
-    funnel: eqx.AbstractVar[Funnel]
+    funnel: eqx.AbstractVar[AbstractFunnel]
     gain_sign: eqx.AbstractVar[Float[Array, ""]]
     positive: eqx.AbstractClassVar[tuple[str, ...]]
     is_smooth: ClassVar[bool] = True

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.surface import SlidingSurface
 from qsmc_jax.numerics.gudermann import tan_half_pi
 
@@ -21,7 +21,7 @@ class QuasiSlidingControl(AbstractControl):
 
     Attributes:
         surface: Sliding surface, $\sigma$ as a function of the errors.
-        funnel: Funnel $\rho(t)$.
+        funnel: AbstractFunnel $\rho(t)$.
         gain_sign: The sign of the control gain g, 1 or -1.
 
     Examples:
@@ -39,13 +39,13 @@ class QuasiSlidingControl(AbstractControl):
     instead: ClassVar[str] = "A loop under a law of your own needs an `Implementation`: the ideal loop is this law's."
 
     surface: SlidingSurface
-    funnel: Funnel
+    funnel: AbstractFunnel
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 
     positive: ClassVar[tuple[str, ...]] = ()
 
     def __call__(self, sigma: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
-        r"""The control at sliding variable `sigma` and half-width `rho`; NaN unless $|\sigma| < \rho$."""
+        r"""The control at `sigma`, from the funnel's centre, and half-width `rho`; NaN unless $|\sigma| < \rho$."""
         return -self.gain_sign * tan_half_pi(sigma, rho)
 
     def first_memory(self) -> Scalars:
@@ -53,5 +53,5 @@ class QuasiSlidingControl(AbstractControl):
 
     def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
         if sample.beyond == "wrap":
-            return -self.gain_sign * jnp.tan(0.5 * math.pi * sample.sigma / sample.rho), ()
+            return -self.gain_sign * jnp.tan(0.5 * math.pi * sample.inside() / sample.rho), ()
         return self(sample.inside(), sample.rho), ()

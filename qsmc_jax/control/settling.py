@@ -6,7 +6,7 @@ promises nothing, from it on everything.
 
 For n = 1 it is $t_r$, for n = 2 the root of a sum of two exponentials. Beyond, the envelope is followed along cells
 that grow with time, over a table that depends on the surface alone, so that a study whose surface is fixed pays for the
-table once.
+table once. A funnel that is not exponential counts as one that is, around it: its time is later than need be.
 """
 
 import functools as ft
@@ -24,7 +24,8 @@ from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.error_bounds import companion, damping_ratio, pole_bound, short_exponential, variations
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel, Funnel
+from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.hurwitz import is_hurwitz
 
 _NEWTON_STEPS = 8
@@ -34,6 +35,14 @@ _CELLS = 16  # a panel: each some 3 to 6 % of the time
 _FIRST_CELL = 0.0625  # times R
 _TRACED_PARTS = 2  # of a cell, for the maxima and integrals in it
 _MOST_PARTS = 512
+
+
+class _Width(NamedTuple):
+    """A width as the table is given it: that of a funnel, or a constant one."""
+
+    rho0: RealScalarLike
+    mu: RealScalarLike
+    rho_inf: RealScalarLike
 
 
 class _Table(NamedTuple):
@@ -60,7 +69,7 @@ class _Table(NamedTuple):
 
 
 def settling_time(
-    c: Float[Array | np.ndarray, " c"], funnel: Funnel, bandwidth: RealScalarLike, bounds: Scalars, e0: Scalars
+    c: Float[Array | np.ndarray, " c"], funnel: AbstractFunnel, bandwidth: RealScalarLike, bounds: Scalars, e0: Scalars
 ) -> RealScalarLike:
     r"""The settling time $t_s$ [s] that the funnel guarantees, `inf` if there is none.
 
@@ -76,7 +85,7 @@ def settling_time(
         e0: Errors at time 0.
     """
     numbers = jax.tree.map(as_float64, (bandwidth, bounds, e0))
-    c, funnel, bandwidth, bounds, e0 = jax.lax.stop_gradient((c, funnel, *numbers))
+    c, funnel, bandwidth, bounds, e0 = pytrees.stop_gradient((c, funnel, *numbers))
     if len(e0) == 1:
         return funnel.reaching_time(bandwidth)
     return _settling_time(c, _table(c) if len(e0) > 2 else None, funnel, bandwidth, bounds, e0)
@@ -87,18 +96,43 @@ def settling_time(
 def _settling_time(
     c: Float[Array | np.ndarray, " c"],
     table: "_Table | None",
-    funnel: Funnel,
+    funnel: AbstractFunnel,
     bandwidth: RealScalarLike,
     bounds: Scalars,
     e0: Scalars,
 ) -> RealScalarLike:
-    reached = funnel.reaching_time(bandwidth)
+    reached, around = funnel.reaching_time(bandwidth), funnel.enclosing(bandwidth)
     if table is None:
-        later = _second_order(c[0], funnel, bandwidth, jnp.abs(e0[0]), reached)
+        later = _second_order(c[0], around, bandwidth, jnp.abs(e0[0]), around.reaching_time(bandwidth))
     else:
-        later = _by_table(table, funnel, jnp.stack(bounds), jnp.stack(e0))
+        later = _by_table(table, around, jnp.stack(bounds), jnp.stack(e0))
+    if not isinstance(funnel, Funnel):
+        level = 0.5 * (bandwidth + funnel.bandwidths[0])
+        narrow = funnel.reaching_time(level)
+        later = jnp.minimum(later, narrow + _once_narrow(c, table, level, around(0.0), bandwidth, bounds, e0))
     is_known = jnp.isfinite(reached) & jnp.all(is_hurwitz(c))
     return jnp.where(is_known, jnp.maximum(reached, later), jnp.inf)
+
+
+def _once_narrow(
+    c: Float[Array | np.ndarray, " c"],
+    table: "_Table | None",
+    level: RealScalarLike,
+    widest: RealScalarLike,
+    bandwidth: RealScalarLike,
+    bounds: Scalars,
+    e0: Scalars,
+) -> RealScalarLike:
+    """How long it takes at most from when on a funnel, `widest` before, is within a level below the bandwidth."""
+    gains = jnp.stack(bounds) / bandwidth
+    if table is None:
+        e = jnp.maximum(jnp.abs(e0[0]), widest * gains[0])
+        excess = (c[0] * e - level) / (bandwidth - level)
+        return jnp.log(jnp.maximum(excess, 1.0)) / c[0] * (1.0 + _LATER)
+    sizes, start = table._replace(responses=jnp.abs(table.responses)), jnp.abs(jnp.stack(e0) * table.units)[:-1]
+    of_start = jnp.max(sizes.responses @ start, axis=(0, 1)) + jnp.max(sizes.deviations @ start, axis=(0, 1))
+    constant = _Width(0.0, table.units[-2], level)
+    return _by_table(sizes, constant, jnp.stack(bounds), of_start / table.units + widest * gains)
 
 
 def _second_order(
@@ -134,7 +168,9 @@ def _lag(c: RealScalarLike, mu: RealScalarLike, t: RealScalarLike) -> RealScalar
     return jnp.exp(-jnp.minimum(c, mu) * t) * jnp.where(is_same, t, part)
 
 
-def _by_table(table: _Table, funnel: Funnel, bounds: Float[Array, " n"], e0: Float[Array, " n"]) -> Float[Array, ""]:
+def _by_table(
+    table: _Table, funnel: "Funnel | _Width", bounds: Float[Array, " n"], e0: Float[Array, " n"]
+) -> Float[Array, ""]:
     """The end of the last cell, or of that part of it, in which an envelope reaches its bound."""
     rate = table.units[-2]
     scaled = dict(mu=funnel.mu / rate, bounds=bounds * table.units, e0=(e0 * table.units)[:-1])

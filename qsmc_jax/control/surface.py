@@ -11,7 +11,7 @@ from qsmc_jax.base.checks import is_traced, require, require_finite, require_pos
 from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.control.error_bounds import error_envelope, peak_gains, poles
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.numerics.hurwitz import is_hurwitz
 
 _BINOMIAL_RTOL = 1e-9
@@ -120,14 +120,17 @@ class SlidingSurface(AbstractModule):
         return np.asarray(bandwidth * (2.0 * a) ** np.arange(self.order) / a**degree)
 
     def error_envelope(
-        self, ts: Sequence[float] | Float[ArrayLike, " times"], e0: State | Float[ArrayLike, " n"], funnel: Funnel
+        self,
+        ts: Sequence[float] | Float[ArrayLike, " times"],
+        e0: State | Float[ArrayLike, " n"],
+        funnel: AbstractFunnel,
     ) -> Float[np.ndarray, "times n"]:
         r"""The sharp bounds on $|e^{(i)}(t)|$ of a run that starts at `e0` and stays in the funnel; numbers only.
 
         Args:
             ts: Times [s], not negative, in any order.
             e0: Errors at time 0, `e0[0] ... e0[n - 1]`.
-            funnel: The funnel.
+            funnel: The funnel; for one that is not exponential, bounds of one around it, which are not sharp.
 
         Returns:
             One row per time, one column per derivative i = 0 ... n - 1.
@@ -138,13 +141,15 @@ class SlidingSurface(AbstractModule):
         times, errors = np.asarray(ts, float), np.asarray(e0, float)
         earliest = float(times.min(initial=0.0))
         require(earliest == 0.0, f"Argument `ts` must not be negative, but has {earliest:.6g}. Runs start at time 0.")
-        sigma, width = abs(float(self(tuple(errors)))), float(funnel.rho0 + funnel.rho_inf)
+        centre, width = float(funnel.centre(0.0)), float(funnel(0.0))
+        away, name = abs(float(self(tuple(errors))) - centre), f"|sigma - {centre:.6g}|" if centre else "|sigma|"
         require(
-            sigma < width,
-            f"Argument `e0` must start inside the funnel, |sigma| < {width:.6g}, but has |sigma| = {sigma:.6g}. "
-            "Choose a larger `rho0`.",
+            away < width,
+            f"Argument `e0` must start inside the funnel, {name} < {width:.6g}, but has {name} = {away:.6g}. "
+            "Choose a wider one.",
         )
-        rho0, mu, rho_inf = (float(v) for v in (funnel.rho0, funnel.mu, funnel.rho_inf))
+        around = funnel.enclosing(2.0 * funnel.bandwidths[0])
+        rho0, mu, rho_inf = (float(v) for v in (around.rho0, around.mu, around.rho_inf))
         return error_envelope(np.asarray(self.c), times, errors, rho0, mu, rho_inf)
 
 

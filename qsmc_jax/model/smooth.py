@@ -46,8 +46,8 @@ def require_smooth(fn: Callable[..., Any]) -> None:
         _require_smooth(fn)
     except UnknownProgramError as error:
         raise InputError(
-            "Argument `fn` of `references.Smooth` must be smooth, but with this version of JAX nobody can tell: "
-            f"{error}. Install an older one, or subclass `AbstractReference` with derivatives of your own."
+            "Argument `fn` of `Smooth` must be smooth, but with this version of JAX nobody can tell: "
+            f"{error}. Install an older one, or subclass the abstract class with derivatives of your own."
         ) from error
 
 
@@ -55,7 +55,7 @@ def _require_smooth(fn: Callable[..., Any]) -> None:
     number = ft.partial(scalar, fn)
     program = _traced(number)
     shape = shape_of(parts(program).outputs[0])
-    require(shape == (), f"Argument `fn` of `references.Smooth` must return a single number, but has shape {shape}.")
+    require(shape == (), f"Argument `fn` of `Smooth` must return a single number, but has shape {shape}.")
     _require_no_hidden_tracer(fn, program)
     _require_forward_derivative(program)
     found = kinks(program) + kinks(_traced(tower(number, 1)))
@@ -72,11 +72,11 @@ def _require_smooth(fn: Callable[..., Any]) -> None:
 
 def _traced(fn: Callable[..., Any]) -> Program:
     try:
-        with traceable("Argument `fn` of `references.Smooth`", "the time"):
+        with traceable("Argument `fn` of `Smooth`", "the time"):
             return jax.make_jaxpr(fn)(jnp.zeros(()))
     except TypeError as error:
         raise InputError(
-            f"Argument `fn` of `references.Smooth` must be a function of time, but calling it says: {error}."
+            f"Argument `fn` of `Smooth` must be a function of time, but calling it says: {error}."
         ) from error
 
 
@@ -85,7 +85,7 @@ def _require_no_hidden_tracer(fn: Callable[..., Any], program: Program) -> None:
     hidden = [value for value in parts(program).constants.values() if is_traced(value) and id(value) not in visible]
     require(
         not hidden,
-        "Argument `fn` of `references.Smooth` must show the numbers it depends on, but has a traced number in its "
+        "Argument `fn` of `Smooth` must show the numbers it depends on, but has a traced number in its "
         "closure. Write `Smooth(eqx.Partial(fn, number))` with `fn(number, t)`, or make it an `eqx.Module` that holds "
         "the number.",
     )
@@ -96,7 +96,7 @@ def _require_forward_derivative(program: Program) -> None:
     names = {use.eqn.name for use in uses(program)}
     require(
         "custom_vjp_call" not in names,
-        "Argument `fn` of `references.Smooth` must have a forward derivative, but uses a `jax.custom_vjp`, which has "
+        "Argument `fn` of `Smooth` must have a forward derivative, but uses a `jax.custom_vjp`, which has "
         "only a reverse one. Use `jax.custom_jvp`.",
     )
 
@@ -104,9 +104,9 @@ def _require_forward_derivative(program: Program) -> None:
 def _refusal(names: set[str], why: str) -> str:
     used = ", ".join(f"`{name}`" for name in sorted(names))
     return (
-        f"Argument `fn` of `references.Smooth` must be smooth, but uses {used} on a number that depends on time, "
+        f"Argument `fn` of `Smooth` must be smooth, but uses {used} on a number that depends on time, "
         f"{why}. Use a smooth function in its place (`jnp.tanh` for a switch, `jnp.logaddexp` for a maximum), or "
-        "subclass `AbstractReference` with derivatives of your own, and `break_times` for what the highest one does."
+        "subclass the abstract class with derivatives of your own, and `break_times` for what the highest one does."
     )
 
 
@@ -165,6 +165,6 @@ def _require_finite_start(fn: Callable[..., Any]) -> None:
         start = np.asarray(jnp.stack(tower(fn, 1)(jnp.zeros(()))))
     require(
         bool(np.all(np.isfinite(start))),
-        "Argument `fn` of `references.Smooth` must be finite with a finite derivative at t = 0, but these are "
+        "Argument `fn` of `Smooth` must be finite with a finite derivative at t = 0, but these are "
         f"{show(start)}. Shift or rewrite it: runs start there.",
     )

@@ -76,7 +76,7 @@ class OperatingRange:
 
     Attributes:
         c: Coefficients of the surface.
-        rho_inf: Final half-width of the funnel.
+        narrowest: Least half-width of the funnel.
         steepest: Gain, gain times input, and half-width where the loop gain k' is largest.
         flattest: The same where it is smallest in the steady phase, t >= t_r.
         residual: Largest |w| from t = 0.
@@ -88,7 +88,7 @@ class OperatingRange:
     """
 
     c: np.ndarray
-    rho_inf: float
+    narrowest: float
     steepest: tuple[float, float, float]
     flattest: tuple[float, float, float]
     residual: float
@@ -186,13 +186,13 @@ def _operating_range(study: Study) -> OperatingRange | None:
     loop_gain = gain * (1.0 + np.asarray(run.u) ** 2) / run.rho
     return OperatingRange(
         c=np.asarray(loop.control.surface.c),
-        rho_inf=float(loop.control.funnel.rho_inf),
+        narrowest=float(loop.control.funnel.narrowest),
         steepest=tuple(points[np.argmax(loop_gain)].tolist()),
         flattest=tuple(points[steady][np.argmin(loop_gain[steady])].tolist()),
         residual=float(np.max(np.abs(residual))),
         gains=(float(np.min(gain)), float(np.max(gain))),
         demand=float(np.max((np.abs(residual) + np.abs(rho_rate)) / gain)),
-        ratio0=float(np.abs(run.sigma[0]) / run.rho[0]),
+        ratio0=float(np.abs(loop.ratio(0.0, tuple(nominal.x0)))),
         peak_u=float(run.metrics.peak_u),
         period=_numbers(nominal.loop)["sample_period"],
     )
@@ -200,14 +200,15 @@ def _operating_range(study: Study) -> OperatingRange | None:
 
 @entry_point
 def _balances(run: Trajectory) -> tuple[Float[Array, " times"], Float[Array, " times"], Float[Array, " times"]]:
-    """The residual, |gain| with the sign that the law takes it to have, and the rate of the funnel along a run."""
+    """The residual less the centre's rate, |gain| with the sign that the law takes it to have, the width's rate."""
     loop = run.loop
 
     def at(t: Array, row: Float[Array, " n"]) -> tuple[Array, Array, Array]:
         x = tuple(row[i] for i in range(loop.states))
         balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
         gain = loop.control.gain_sign * balance.gain
-        return jnp.asarray(balance.residual), jnp.asarray(gain), loop.control.funnel.width_and_rate(t)[1]
+        (_, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
+        return jnp.asarray(balance.residual - centre_rate), jnp.asarray(gain), jnp.asarray(rho_rate)
 
     return jax.vmap(at)(jnp.asarray(run.ts), jnp.asarray(run.x))
 
@@ -245,7 +246,7 @@ def _saturation_limits(found: OperatingRange, loop: ClosedLoop) -> list[_Line]:
 
 
 def _noise_limits(found: OperatingRange, loop: ClosedLoop) -> list[_Line]:
-    return [("noise as wide as the funnel", found.rho_inf, "local")]
+    return [("noise as wide as the funnel", found.narrowest, "local")]
 
 
 def _in_loop_times(symbol: str) -> Callable[[OperatingRange, ClosedLoop], tuple[float, str]]:
@@ -272,5 +273,5 @@ _SCALES = {
     "time_constant": _lag_scale,
     "frequency": lambda found, loop: (1.0 / found.loop_gain, "$\\omega / k'$ [-]"),
     "saturation": lambda found, loop: (1.0 / found.demand, r"$u_{max} / \sup\,(|w| + |\dot\rho|) / g$ [-]"),
-    "noise": lambda found, loop: (1.0 / found.rho_inf, r"$\nu / \rho_\infty$ [-], $\nu$ the bound on $\sigma$"),
+    "noise": lambda found, loop: (1.0 / found.narrowest, r"$\nu / \rho_\infty$ [-], $\nu$ the bound on $\sigma$"),
 }

@@ -8,6 +8,7 @@ import numpy as np
 
 from qsmc_jax.base.types import Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.control.funnel import Funnel
 from qsmc_jax.implementation.actuators import AbstractActuator
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
@@ -45,6 +46,9 @@ def functions_of(loop: ClosedLoop) -> Contents:
             (number,),
         ),
     }
+    if not isinstance(loop.control.funnel, Funnel):
+        name = f"funnel `{type(loop.control.funnel).__name__}`"
+        parts[name] = loop.control.funnel, lambda f, t: (f.width_and_rate(t), f.centre_and_rate(t)), (number,)
     if loop.implementation is not None:
         parts |= _implemented(loop, loop.implementation)
     return tuple((name, digest(trace(name, "its arguments", *part[:2], *part[2])[0])) for name, part in parts.items())
@@ -55,14 +59,15 @@ def _implemented(loop: ClosedLoop, made: Implementation) -> dict[str, _Part]:
     number, control, actuator = jax.ShapeDtypeStruct((), np.float64), loop.control, made.actuator
 
     def command(control: AbstractControl, t: Any, period: Any, sigma: Any, rho: Any, *known: Scalars) -> Any:
-        desired, memory = known
-        return control.first_memory(), control.command(Sample(t, period, sigma, rho, desired, made.beyond), memory)
+        desired, memory, errors = known
+        sample = Sample(t, period, sigma, rho, desired, made.beyond, control.funnel.centre(t), errors)
+        return control.first_memory(), control.command(sample, memory)
 
     def move(actuator: AbstractActuator, state: Scalars, *rest: Any) -> Any:
         return actuator.rest(), actuator.move(state, *rest), actuator.swing(state, *rest)
 
     memory = (number,) * len(control.first_memory())
-    given = number, number, number, number, (number,) * (loop.order + 1), memory
+    given = number, number, number, number, (number,) * (loop.order + 1), memory, (number,) * loop.order
     parts: dict[str, _Part] = {f"command of `{type(control).__name__}`": (control, command, given)}
     for i, signal in enumerate(made.unmatched):
         parts[f"unmatched disturbance {i} `{type(signal).__name__}`"] = (signal, lambda d, t: d(t), (number,))

@@ -172,8 +172,8 @@ def _first_step(problem: Problem, x0: State, run0: Run, horizon: RealScalarLike)
 def _refusal(problem: Problem, x0: State, is_drawn_well: BoolScalarLike) -> Int[Array, ""]:
     """COMPLETED if the premises at the start hold, else the outcome that names the broken one."""
     control = problem.loop.control
-    sigma, rho = problem.loop.sliding_variable(0.0, x0), control.funnel(0.0)
-    starts_inside = jnp.abs(sigma) < rho
+    sigma = problem.loop.sliding_variable(0.0, x0) - control.funnel.centre(0.0)
+    starts_inside = jnp.abs(sigma) < control.funnel(0.0)
     code = jnp.where(starts_inside, int(Outcome.COMPLETED), int(Outcome.STARTED_OUTSIDE))
     return jnp.where(control.is_valid() & is_drawn_well, code, int(Outcome.BAD_PARAMETERS))
 

@@ -15,6 +15,7 @@ from typing import TypeAlias, cast
 import jax.numpy as jnp
 
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.funnel import AbstractFunnel, Funnel
 from qsmc_jax.enclosures.unseen import Step, Unseen, unseen
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
@@ -66,7 +67,7 @@ def hidden(
     pushes = _pushes(loop, step, at)
     amount_of_gain, lowest = _gain(loop, step, at)
     jump, in_states = _discontinuity(loop, step), _in_states(loop, step, at, jnp.maximum(*us), least)
-    k = 0.5 * jnp.pi / loop.control.funnel(t1)
+    k = 0.5 * jnp.pi / _narrowest(loop.control.funnel, step)
     # By an exponent of 1 at most may a small s grow in a step in which the gain may push outwards.
     growth = step.length * k * jnp.maximum(-lowest, 0.0)
     if all(map(is_nothing, (pushes.amount, amount_of_gain, jump, in_states))):
@@ -104,12 +105,30 @@ def hidden_in_cell(
     for c, signal in zip(loop.control.surface.c, implementation.unmatched, strict=False):
         pushes = pushes + c * unseen_in_signal(signal, step).amount
     wander = loop.control.surface([unseen_in_reference(loop.reference, i, step).amount for i in range(loop.order)])
-    moves = (step.length * pushes + wander) / loop.control.funnel(t1)
+    funnel = loop.control.funnel
+    wander = wander + unseen_in_funnel(funnel, step, is_rate=False).amount
+    moves = (step.length * pushes + wander) / _narrowest(funnel, step)
     return jnp.where(jnp.isnan(moves), jnp.inf, moves) / _worth(rtol)
 
 
 def _worth(rtol: RealScalarLike) -> RealScalarLike:
     return jnp.clip(_WORTH * rtol, _LEAST_WORTH, _LARGEST_WORTH)
+
+
+def unseen_in_funnel(funnel: AbstractFunnel, step: Step, *, is_rate: bool) -> Unseen:
+    """What may hide in how far an edge of the funnel is from 0, or in its rate; nothing in the paper's funnel."""
+    if isinstance(funnel, Funnel):
+        return joined([])
+    place = int(is_rate)
+    parts = funnel.centre_and_rate, funnel.width_and_rate
+    return joined([unseen(lambda t, part=part: part(t)[place], step) for part in parts])
+
+
+def _narrowest(funnel: AbstractFunnel, step: Step) -> RealScalarLike:
+    """The least half-width that a step may have; 0 if it may have none."""
+    if isinstance(funnel, Funnel):
+        return funnel(step.t1)
+    return jnp.maximum(unseen(funnel, step).low, 0.0)
 
 
 def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]) -> Path:
@@ -131,6 +150,7 @@ def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]) ->
 def _pushes(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
     """What may hide in w, which pushes the sliding variable."""
     parts = [unseen_in_signal(loop.disturbance, step), unseen_in_reference(loop.reference, loop.order, step)]
+    parts.append(unseen_in_funnel(loop.control.funnel, step, is_rate=True))
     plant = loop.plant
     if isinstance(plant, AbstractStateSpace):
         # The disturbance is in it, wherever it enters.

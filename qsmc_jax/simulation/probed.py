@@ -8,6 +8,7 @@ from qsmc_jax.enclosures.unseen import Nodes, Step, Unseen, unseen
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.components import components
 from qsmc_jax.model.unseen import is_known, unseen_in_reference, unseen_in_signal
+from qsmc_jax.simulation.guard import unseen_in_funnel
 
 _NODES = Nodes((0.0, 0.5, 1.0), few=(0.0, 0.5, 1.0))
 
@@ -30,6 +31,8 @@ def probed_functions(loop: ClosedLoop) -> tuple[str, ...]:
         parts[f"`derivatives` of `{type(loop.reference).__name__}`"] = reference
         for signal in () if loop.implementation is None else loop.implementation.unmatched:
             parts[f"`{type(signal).__name__}`"] = unseen_in_signal(signal, step)
+        funnel = loop.control.funnel
+        parts[f"`{type(funnel).__name__}`"] = unseen_in_funnel(funnel, step, is_rate=True)
         if not is_known(loop.plant):
             for name, each in components(loop.plant).items():
                 path = lambda t, each=each: each(loop.plant, t, tuple(xi * t for xi in x), t)  # noqa: E731

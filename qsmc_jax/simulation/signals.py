@@ -89,9 +89,10 @@ def solve_along(
 def signals_at_start(loop: ClosedLoop, x0: Float[np.ndarray, " n"]) -> Signals:
     """The signals at time 0 without input, as metrics see them."""
     e, desired, rho = loop.errors(0.0, tuple(x0)), loop.desired(0.0), loop.control.funnel(0.0)
+    ratio = loop.ratio(0.0, tuple(x0))
     balance, sigma = loop.balance(0.0, tuple(x0), e, desired), jnp.asarray(loop.control.surface(e))
     driven = balance.disturbance, balance.residual, balance.gain
-    return Signals(np.zeros(()), tuple(x0), desired[:-1], e, sigma, rho, sigma / rho, np.zeros(()), *driven)
+    return Signals(np.zeros(()), tuple(x0), desired[:-1], e, sigma, rho, ratio, np.zeros(()), *driven)
 
 
 def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:

@@ -65,9 +65,9 @@ def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
     rest, desired = (0.0,) * loop.order, loop.desired(t)
     is_chain = isinstance(loop.plant, AbstractPlant)
     balance = loop.balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
-    rho, rho_rate = loop.control.funnel.width_and_rate(t)
+    (rho, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
     gain = jnp.abs(balance.gain)
-    input_ = (jnp.abs(balance.residual) + jnp.abs(rho_rate)) / jnp.where(gain > 0.0, gain, 1.0)
+    input_ = (jnp.abs(balance.residual - centre_rate) + jnp.abs(rho_rate)) / jnp.where(gain > 0.0, gain, 1.0)
     return gain * (0.5 * math.pi) / rho * (1.0 + input_**2)
 
 

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Real
 
@@ -11,6 +13,7 @@ from qsmc_jax.base.checks import is_traced, require_finite, require_kind, requir
 from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.display.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.loop import ClosedLoop
@@ -92,6 +95,12 @@ class Trajectory(AbstractModule):
     def reaching_time(self) -> float:
         """t_r [s], from which on the funnel lies inside the bandwidth."""
         return float(self.loop.control.funnel.reaching_time(self.bandwidth))
+
+    @property
+    def edges(self) -> tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]:
+        """The lower and the upper edge of the funnel at the times, in units of the sliding variable."""
+        centre = _centres(self.loop.control.funnel, self.ts)
+        return np.asarray(centre - self.rho), np.asarray(centre + self.rho)
 
     def plot(self, ax: Any = None) -> Any:
         """The paper's four pictures, in matplotlib: output, errors, input, sliding variable in its funnel.
@@ -209,8 +218,8 @@ def simulate(
         loop: The closed loop.
         x0: The start, n numbers.
         t1: The horizon [s], positive.
-        bandwidth: Bandwidth epsilon of quasi-sliding mode, rho_inf < epsilon < rho0 (C2); None stands for twice
-            rho_inf, as in both examples of the paper.
+        bandwidth: Bandwidth epsilon of quasi-sliding mode, rho_inf < epsilon < rho0 (C2), between where the funnel
+            ends and starts; None stands for twice where it ends, as in both examples of the paper.
         ts: Times [s] at which to give the signals, increasing, within [0, t1]; None for 2001 evenly spaced.
         settings: Method and tolerances; None for the defaults.
 
@@ -250,7 +259,7 @@ def simulate_drawn(
     What the user wrote is not checked again: a run of a study comes out as its row did, whatever its numbers are.
     """
     settings = SolverSettings() if settings is None else settings
-    bandwidth = as_float64(2.0 * loop.control.funnel.rho_inf if bandwidth is None else bandwidth)
+    bandwidth = as_float64(2.0 * loop.control.funnel.bandwidths[0] if bandwidth is None else bandwidth)
     x0, t1 = as_float64(x0), as_float64(t1)
     check_start(loop, x0, t1)
     require_finite("bandwidth", bandwidth)
@@ -300,6 +309,11 @@ def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     require_finite_functions(loop, x0, t1)
     if isinstance(loop.plant, AbstractStateSpace):
         require_relative_degree(loop.plant, x0)
+
+
+@entry_point
+def _centres(funnel: AbstractFunnel, ts: Float[Array | np.ndarray, " times"]) -> Float[Array, " times"]:
+    return jax.vmap(lambda t: jnp.asarray(funnel.centre(t), float))(jnp.asarray(ts))
 
 
 _solve_along = entry_point(eqx.filter_jit(solve_along))

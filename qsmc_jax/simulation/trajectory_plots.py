@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.base.checks import require
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.display.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
 
 
@@ -34,8 +35,8 @@ def plot_trajectory(*runs: Any, labels: tuple[str, ...] | None = None, ax: Any =
     inputs.set(title="Input", xlabel="t [s]", ylabel="u")
     for run, colour in zip(runs[1:], _colours(len(runs))[1:], strict=True):
         if not np.array_equal(run.rho, first.rho):
-            for sign in (-1.0, 1.0):
-                funnel.plot(run.ts, sign * run.rho, "--", color=colour, lw=1.0)
+            for edge in run.edges:
+                funnel.plot(run.ts, edge, "--", color=colour, lw=1.0)
     _funnel(funnel, first)
     return axes
 
@@ -60,12 +61,10 @@ def plot_phase_plane(run: Any, ax: Any = None) -> Any:
     reach = 1.1 * max(np.nanmax(np.abs(run.e[:, 0])), float(run.bandwidth))
     e = np.linspace(-reach, reach, 2)
     times = np.linspace(0.0, run.reaching_time, 6)
-    for t, width in zip(times, np.interp(times, run.ts, run.rho), strict=True):
-        for sign in (-1.0, 1.0):
-            label = r"$|\sigma| = \rho(t)$, t = 0 ... $t_r$" if t == 0.0 and sign > 0 else None
-            ax.plot(
-                e, sign * width - c * e, color=GREY, alpha=0.3 + 0.1 * np.searchsorted(times, t), lw=1.0, label=label
-            )
+    for i, edge in enumerate(run.edges):
+        for j, (t, sigma) in enumerate(zip(times, np.interp(times, run.ts, edge), strict=True)):
+            label = r"the funnel's edges, t = 0 ... $t_r$" if i == j == 0 else None
+            ax.plot(e, sigma - c * e, color=GREY, alpha=0.3 + 0.1 * np.searchsorted(times, t), lw=1.0, label=label)
     for sign in (-1.0, 1.0):
         ax.plot(
             e, sign * run.bandwidth - c * e, "--", color=GREEN, label=r"$|\sigma| = \varepsilon$" if sign > 0 else None
@@ -95,6 +94,16 @@ def plot_funnel(run: Any, ax: Any = None) -> Any:
     return ax
 
 
+def edge_label(funnel: AbstractFunnel) -> str:
+    """What the edges of a funnel are called in a legend."""
+    return r"$\pm\rho$" if is_centred(funnel) else r"$m \pm \rho$"
+
+
+def is_centred(funnel: AbstractFunnel) -> bool:
+    """Whether a funnel lies around 0, whatever its numbers."""
+    return isinstance(funnel.centre(0.0), float)
+
+
 def _colours(count: int) -> list[str]:
     return [SERIES[i % len(SERIES)] for i in range(count)]
 
@@ -122,8 +131,8 @@ def _input(ax: Any, run: Any, colour: str) -> None:
 def _funnel(ax: Any, run: Any) -> None:
     """The funnel, the bandwidth and the reaching time around the sliding variable, on a scale that shows both ends."""
     eps, t_r = float(run.bandwidth), run.reaching_time
-    for sign in (-1.0, 1.0):
-        ax.plot(run.ts, sign * run.rho, color=RED, label=r"$\pm\rho$" if sign > 0 else None)
+    for sign, edge in zip((-1.0, 1.0), run.edges, strict=True):
+        ax.plot(run.ts, edge, color=RED, label=edge_label(run.loop.control.funnel) if sign > 0 else None)
         ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
     ax.axvline(t_r, ls=":", color=ORANGE, label=f"$t_r$ = {t_r:.4g} s")
     ax.set_yscale("symlog", linthresh=2.0 * eps)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from qsmc_jax.display.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, one_axes, panels
+from qsmc_jax.simulation.trajectory_plots import edge_label, is_centred
 from qsmc_jax.study.signals import signals
 from qsmc_jax.verification.summary import Histogram
 
@@ -54,18 +55,20 @@ def _funnel(ax: Any, result: Any) -> None:
     ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
     count, row = min(_BAND_RUNS, result.runs), result.worst.row(0)
     drawn = signals(study, [*range(count), row["index"]], result.seed, ts=ts, settings=result.settings)
-    worst, sigma = (ts, drawn.sigma[-1], drawn.rho[-1]), drawn.sigma[:-1]
-    # Of a program of its own only where it must be: decided by another solve, or longer than the nominal run.
-    if row["tier"] > 0 or row["end_time"] > ts[-1]:
+    funnel = study.nominal.loop.control.funnel
+    worst, sigma = (ts, drawn.sigma[-1], (-drawn.rho[-1], drawn.rho[-1])), drawn.sigma[:-1]
+    # Of a program of its own only where it must be: decided by another solve, longer than the nominal run, or in a
+    # funnel whose centre moves.
+    if row["tier"] > 0 or row["end_time"] > ts[-1] or not is_centred(funnel):
         run = study.replay(row["index"], result.seed, settings=result.settings_of(row))
-        worst = run.ts, run.sigma, run.rho
+        worst = run.ts, run.sigma, run.edges
     alive = np.isfinite(sigma).any(axis=0)
     for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
         quantiles = np.nanquantile(sigma[:, alive], (low, high), axis=0)
         label = f"all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
         ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
-    for sign in (-1.0, 1.0):
-        ax.plot(worst[0], sign * worst[2], color=RED, label=r"$\pm\rho$" if sign > 0 else None)
+    for sign, edge in zip((-1.0, 1.0), worst[2], strict=True):
+        ax.plot(worst[0], edge, color=RED, label=edge_label(funnel) if sign > 0 else None)
         ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
     ax.plot(*worst[:2], color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
     t_r = _reaching_time(result)

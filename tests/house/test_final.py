@@ -65,7 +65,9 @@ def test_the_interface_is_named(kind, interface):
 
 
 def test_what_is_possible_is_said_where_there_is_no_interface_yet():
-    with pytest.raises(TypeError, match=r"final\. Loops .* choose `rho0`"):
+    with pytest.raises(
+        TypeError, match=r"final\. Derive it from `AbstractFunnel` .*`qj.funnels.Smooth\(fn\)` takes any"
+    ):
         derived(qj.Funnel)
     with pytest.raises(TypeError, match=r"final\. Keep a `Jitter` in a field instead"):
         derived(qj.Jitter)

@@ -269,7 +269,7 @@ KINKED = {
 
 @pytest.mark.parametrize(("fn", "primitive"), KINKED.values(), ids=KINKED)
 def test_a_function_that_is_not_smooth_is_refused(fn, primitive):
-    with pytest.raises(ValueError, match=rf"`fn` of `references.Smooth` must be smooth, but uses .*`{primitive}`"):
+    with pytest.raises(ValueError, match=rf"`fn` of `Smooth` must be smooth, but uses .*`{primitive}`"):
         qr.Smooth(fn)
 
 

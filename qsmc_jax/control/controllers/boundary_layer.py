@@ -10,7 +10,7 @@ from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.controllers.equal_terms import error_at_rest, slope
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.control.surface import SlidingSurface
 
@@ -20,7 +20,7 @@ class BoundaryLayer(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: Funnel that the loop is judged by.
+        funnel: AbstractFunnel that the loop is judged by.
         amplitude: K, in units of the input, positive.
         width: Half-width $\phi$ of the layer, in units of the sliding variable, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
@@ -35,7 +35,7 @@ class BoundaryLayer(AbstractControl):
     """
 
     surface: SlidingSurface
-    funnel: Funnel
+    funnel: AbstractFunnel
     amplitude: Float[Array, ""] = float_field()
     width: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.control.surface import SlidingSurface
 
@@ -23,7 +23,7 @@ class PrescribedPerformance(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: Funnel $\rho(t)$.
+        funnel: AbstractFunnel $\rho(t)$.
         gain: k, in units of the input, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 
@@ -38,7 +38,7 @@ class PrescribedPerformance(AbstractControl):
     """
 
     surface: SlidingSurface
-    funnel: Funnel
+    funnel: AbstractFunnel
     gain: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 

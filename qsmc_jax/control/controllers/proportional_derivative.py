@@ -9,7 +9,7 @@ from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.controllers.equal_terms import slope
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.control.surface import SlidingSurface
 
@@ -22,7 +22,7 @@ class ProportionalDerivative(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: Funnel that the loop is judged by.
+        funnel: AbstractFunnel that the loop is judged by.
         gain: k, in units of the input per unit of the sliding variable, positive.
         feedforward: $k_f$, in units of the input per unit of $x_{des}^{(n)}$: an estimate of $1 / |g|$; 0 for none.
         gain_sign: The sign of the control gain g, 1 or -1.
@@ -35,7 +35,7 @@ class ProportionalDerivative(AbstractControl):
     """
 
     surface: SlidingSurface
-    funnel: Funnel
+    funnel: AbstractFunnel
     gain: Float[Array, ""] = float_field()
     feedforward: Float[Array, ""] = float_field(default=0.0)
     gain_sign: Float[Array, ""] = float_field(default=1.0)

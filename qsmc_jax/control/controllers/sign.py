@@ -9,7 +9,7 @@ from qsmc_jax.base.checks import require_nonnegative, require_positive
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.control.surface import SlidingSurface
 
@@ -21,7 +21,7 @@ class Sign(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: Funnel that the loop is judged by.
+        funnel: AbstractFunnel that the loop is judged by.
         amplitude: K, in units of the input, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 
@@ -35,7 +35,7 @@ class Sign(AbstractControl):
     """
 
     surface: SlidingSurface
-    funnel: Funnel
+    funnel: AbstractFunnel
     amplitude: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)
 

@@ -9,7 +9,7 @@ from qsmc_jax.base.checks import require_positive
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.control.surface import SlidingSurface
 
@@ -24,7 +24,7 @@ class SuperTwisting(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: Funnel that the loop is judged by.
+        funnel: AbstractFunnel that the loop is judged by.
         k1: Gain on the root, in units of the input per root of the sliding variable's, positive.
         k2: Gain on the integral, in units of the input per second, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
@@ -40,7 +40,7 @@ class SuperTwisting(AbstractControl):
     """
 
     surface: SlidingSurface
-    funnel: Funnel
+    funnel: AbstractFunnel
     k1: Float[Array, ""] = float_field()
     k2: Float[Array, ""] = float_field()
     gain_sign: Float[Array, ""] = float_field(default=1.0)

@@ -9,18 +9,20 @@ from scipy import special
 
 from qsmc_jax.base.checks import require, require_finite, require_nonnegative, require_positive, show
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.funnel import AbstractFunnel, Funnel
 
 _LEAST_CONTROL = 1e-6  # the smallest tan(pi z / 2) that `sufficient_period` tries
 _POINTS, _ROUNDS = 256, 2  # the search is narrowed twice, 128 times each: to 1e-5 of the best
 _NEWTON_STEPS = 12  # they converge quadratically: to rounding for bounds up to 1e8, to 1e-9 at 1e12
+_CHORDS = np.geomspace(1e-6, 1e6, 2000)  # times at which a funnel without a formula is looked at, over 1 / rate
 _CLEARANCE = 1e-9  # closer to where no period will do, the quotient would lose its digits
 
 
-def sufficient_saturation(residual_bound: RealScalarLike, gain_min: RealScalarLike, funnel: Funnel) -> float:
+def sufficient_saturation(residual_bound: RealScalarLike, gain_min: RealScalarLike, funnel: AbstractFunnel) -> float:
     r"""An input limit $(W + \mu \rho_0) / g_\min$ with which the saturated law keeps the funnel. SUFFICIENT.
 
-    For every $|w| \le W$, $|g| \ge g_\min$ and start inside the funnel, also one at which the law asks for more.
+    For every $|w| \le W$, $|g| \ge g_\min$ and start inside the funnel, also one at which the law asks for more. In a
+    funnel of another shape $\mu \rho_0$ is the largest rate of an edge.
 
     Args:
         residual_bound: Bound W on $|w|$ while in the funnel, in units of the sliding variable per second; at least 0.
@@ -38,17 +40,18 @@ def sufficient_saturation(residual_bound: RealScalarLike, gain_min: RealScalarLi
     """
     require_nonnegative("residual_bound", residual_bound)
     require_positive("gain_min", gain_min)
-    return (float(residual_bound) + float(funnel.mu * funnel.rho0)) / float(gain_min)
+    return (float(residual_bound) + float(funnel.steepest)) / float(gain_min)
 
 
 def necessary_saturation(
-    residual: RealScalarLike, gain_max: RealScalarLike, funnel: Funnel, sigma0: RealScalarLike = 0.0
+    residual: RealScalarLike, gain_max: RealScalarLike, funnel: AbstractFunnel, sigma0: RealScalarLike = 0.0
 ) -> float:
     r"""The input limit below which no controller at all keeps the funnel. NECESSARY.
 
     $(W_0 + \sup_{t > 0} (|\sigma_0| - \rho(t)) / t) / g_\max$ against the constant residual
     $W_0 \mathrm{sgn}(\sigma_0)$ with gains $|g| \le g_\max$. The supremum is 0 if $|\sigma_0| \le \rho_\infty$,
-    otherwise how steeply the tangent from $(0, |\sigma_0|)$ to the funnel's edge falls.
+    otherwise how steeply the tangent from $(0, |\sigma_0|)$ to the funnel's edge falls: in closed form for the paper's
+    funnel, else the steepest chord to 2000 times, which is no steeper.
 
     Args:
         residual: Size $W_0$ of the constant residual, in units of the sliding variable per second; at least 0.
@@ -69,16 +72,25 @@ def necessary_saturation(
     require_nonnegative("residual", residual)
     require_positive("gain_max", gain_max)
     require_finite("sigma0", sigma0)
-    rho0, mu, rho_inf = (float(v) for v in (funnel.rho0, funnel.mu, funnel.rho_inf))
-    size = abs(float(sigma0))
+    centre, width = float(funnel.centre(0.0)), float(funnel(0.0))
+    middle = f"|sigma0 - {centre:.6g}|" if centre else "|sigma0|"
     require(
-        size < rho0 + rho_inf,
-        f"Argument `sigma0` must lie strictly inside the funnel, |sigma0| < {rho0 + rho_inf:.6g}, but is "
-        f"{show(float(sigma0))}.",
+        abs(float(sigma0) - centre) < width,
+        f"Argument `sigma0` must lie strictly inside the funnel, {middle} < {width:.6g}, but is {show(float(sigma0))}.",
     )
-    excess = max((size - rho_inf) / rho0, 0.0)
-    slope = mu * rho0 * excess / -special.lambertw(-excess / math.e, -1).real if excess > 0 else 0.0
-    return (float(residual) + float(slope)) / float(gain_max)
+    return (float(residual) + _steepest_chord(funnel, float(sigma0))) / float(gain_max)
+
+
+def _steepest_chord(funnel: AbstractFunnel, sigma0: float) -> float:
+    """How fast the sliding variable must at least move in to be inside at all later times."""
+    size = abs(sigma0)
+    if isinstance(funnel, Funnel):
+        rho0, mu, rho_inf = (float(v) for v in (funnel.rho0, funnel.mu, funnel.rho_inf))
+        excess = max((size - rho_inf) / rho0, 0.0)
+        return mu * rho0 * excess / -float(special.lambertw(-excess / math.e, -1).real) if excess > 0 else 0.0
+    ts = _CHORDS / float(funnel.rate)
+    edges = [float(math.copysign(1.0, sigma0) * funnel.centre(t) + funnel(t)) for t in ts]
+    return max(0.0, float(np.max((size - np.asarray(edges)) / ts)))
 
 
 class SufficientPeriod(NamedTuple):
@@ -102,7 +114,7 @@ class SufficientPeriod(NamedTuple):
 def sufficient_period(
     residual_bound: RealScalarLike,
     gain_bounds: tuple[RealScalarLike, RealScalarLike],
-    funnel: Funnel,
+    funnel: AbstractFunnel,
     ratio0: RealScalarLike = 0.0,
 ) -> SufficientPeriod:
     r"""A period of a sampled and held input with which the law keeps the funnel, at any order n. SUFFICIENT.
@@ -114,6 +126,8 @@ def sufficient_period(
 
         $\tau (W + \bar z r - g_\min T(z)) \le (\bar z - z) \rho$ and
         $\tau (W + \bar z r + g_\max T(\bar z)) \le 2 \bar z \rho$.
+
+    In a funnel of another shape $\rho$ is the least half-width, and $\bar z r$ the largest rate of an edge.
 
     Where runs may chatter in the funnel (large W), it can exceed `critical_period`.
 
@@ -159,18 +173,20 @@ def sufficient_period(
 
 
 def _invariant_periods(
-    controls: Float[np.ndarray, " v"], w: float, gains: tuple[float, float], funnel: Funnel
+    controls: Float[np.ndarray, " v"], w: float, gains: tuple[float, float], funnel: AbstractFunnel
 ) -> Float[np.ndarray, " v"]:
     r"""The longest periods for given $\tan(\pi \bar z / 2)$; 0 where none will do.
 
     The first condition is the least $(\bar z - z) \rho / (W + \bar z r - g_\min T(z))$ over z, by Newton's method on
     the greatest excess as a convex function of the period (Dinkelbach's), from above; its z has a closed form.
     """
-    excess = np.array([[0.0], [float(funnel.rho0)]])
-    rho = excess + float(funnel.rho_inf)
-    unit = 2.0 / math.pi * rho
     ratio = 2.0 / math.pi * np.arctan(controls)
-    push = w + ratio * float(funnel.mu) * excess
+    if isinstance(funnel, Funnel):
+        excess = np.array([[0.0], [float(funnel.rho0)]])
+        rho, push = excess + float(funnel.rho_inf), w + ratio * float(funnel.mu) * excess
+    else:
+        rho, push = np.array([[float(funnel.narrowest)]]), w + float(funnel.steepest)
+    unit = 2.0 / math.pi * rho
     with np.errstate(divide="ignore", invalid="ignore"):  # nothing pushes, or where no period will do
         period = ratio * rho / push
         for _ in range(_NEWTON_STEPS):

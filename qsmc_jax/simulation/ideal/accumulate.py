@@ -164,7 +164,8 @@ def _end(problem: Problem, t: RealScalarLike, errors: Scalars, u: RealScalarLike
     rho, rho_rate = problem.loop.control.funnel.width_and_rate(t)
     s, s_rate = problem.coordinates.funnel_motion(problem.loop, t, y, dy)
     sigma, cosh = surface(errors), jnp.sqrt(1.0 + u * u)
-    sigma_rate = (2.0 / jnp.pi * rho * s_rate) / cosh + sigma * rho_rate / rho
+    centre, centre_rate = problem.loop.control.funnel.centre_and_rate(t)
+    sigma_rate = (2.0 / jnp.pi * rho * s_rate) / cosh + (sigma - centre) * rho_rate / rho + centre_rate
     rates = problem.coordinates.error_rates(problem.loop, t, y, dy, errors, sigma_rate)
     return _End(errors, rates, sigma, sigma_rate, s, s_rate, u)
 

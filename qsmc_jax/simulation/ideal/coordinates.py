@@ -87,25 +87,25 @@ class FunnelCoordinates(AbstractFunnelCoordinates):
     """
 
     def start(self, loop: ClosedLoop, x0: State) -> Scalars:
-        ratio = loop.sliding_variable(0.0, x0) / loop.control.funnel(0.0)
-        return (*loop.errors(0.0, x0)[:-1], funnel_coordinate(ratio))
+        return (*loop.errors(0.0, x0)[:-1], funnel_coordinate(loop.ratio(0.0, x0)))
 
     def state(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> Scalars:
-        return loop.state(_errors(loop, loop.control.funnel(t), y), loop.desired(t))
+        return loop.state(_errors(loop, t, loop.control.funnel(t), y), loop.desired(t))
 
     def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
         control = loop.control
         rho, rho_rate = control.funnel.width_and_rate(t)
-        errors = _errors(loop, rho, y)
+        errors = _errors(loop, t, rho, y)
         sinh, cosh = sinh_cosh(y[-1])
         desired = loop.desired(t)
         balance = loop.balance(t, loop.state(errors, desired), errors, desired)
-        sigma_rate = balance.residual - balance.gain * control.gain_sign * sinh
+        _, centre_rate = control.funnel.centre_and_rate(t)
+        sigma_rate = balance.residual - centre_rate - balance.gain * control.gain_sign * sinh
         return (*errors[1:], cosh * (0.5 * jnp.pi * sigma_rate - gd(y[-1]) * rho_rate) / rho)
 
     def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
         """Each error is the derivative of the one before."""
-        return (y[0], *dy[:-1]) if loop.order > 1 else _errors(loop, loop.control.funnel(t), y)
+        return (y[0], *dy[:-1]) if loop.order > 1 else _errors(loop, t, loop.control.funnel(t), y)
 
     def state_of(self, loop: ClosedLoop, t: RealScalarLike, y: State, errors: State) -> Scalars:
         return loop.state(errors, loop.desired(t))
@@ -146,16 +146,17 @@ class PhysicalCoordinates(AbstractCoordinates):
         return None
 
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
-        return funnel_coordinate(loop.sliding_variable(t, y) / loop.control.funnel(t))
+        return funnel_coordinate(loop.ratio(t, y))
 
     def funnel_motion(
         self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
     ) -> tuple[RealScalarLike, RealScalarLike]:
         errors, rates = loop.errors_in_motion(t, y, dy)
         surface, (rho, rho_rate) = loop.control.surface, loop.control.funnel.width_and_rate(t)
-        ratio = surface(errors) / rho
+        centre, centre_rate = loop.control.funnel.centre_and_rate(t)
+        ratio = (surface(errors) - centre) / rho
         s = funnel_coordinate(ratio)
-        ratio_rate = (surface(rates) - ratio * rho_rate) / rho
+        ratio_rate = (surface(rates) - centre_rate - ratio * rho_rate) / rho
         return s, 0.5 * jnp.pi * sinh_cosh(s)[1] * ratio_rate
 
     def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
@@ -163,7 +164,7 @@ class PhysicalCoordinates(AbstractCoordinates):
         return tuple(0.1 * settings.rtol * each for each in size), (0.1 * settings.atol,) * len(size)
 
 
-def _errors(loop: ClosedLoop, rho: RealScalarLike, y: State) -> Scalars:
+def _errors(loop: ClosedLoop, t: RealScalarLike, rho: RealScalarLike, y: State) -> Scalars:
     """The errors from the funnel coordinate: the last is what the others leave of sigma."""
-    others = loop.control.surface((*y[:-1], 0.0))
+    others = loop.control.surface((*y[:-1], 0.0)) - loop.control.funnel.centre(t)
     return (*y[:-1], 2.0 / jnp.pi * rho * gd(y[-1]) - others)

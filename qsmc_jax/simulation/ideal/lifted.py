@@ -24,7 +24,7 @@ class LiftedCoordinates(AbstractFunnelCoordinates):
     """
 
     def start(self, loop: ClosedLoop, x0: State) -> Scalars:
-        return (*x0, funnel_coordinate(loop.sliding_variable(0.0, x0) / loop.control.funnel(0.0)))
+        return (*x0, funnel_coordinate(loop.ratio(0.0, x0)))
 
     def state(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> Scalars:
         return tuple(y[:-1])
@@ -32,10 +32,11 @@ class LiftedCoordinates(AbstractFunnelCoordinates):
     def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
         control, x, s = loop.control, tuple(y[:-1]), y[-1]
         rho, rho_rate = control.funnel.width_and_rate(t)
+        centre, centre_rate = control.funnel.centre_and_rate(t)
         sinh, cosh = sinh_cosh(s)
         rates = loop.driven(t, x, -control.gain_sign * sinh)
         sigma, sigma_rate = map(control.surface, loop.errors_in_motion(t, x, rates))
-        pull = control.funnel.mu * (sigma - rho * ratio(s))
+        pull = control.funnel.rate * (sigma - centre - rho * ratio(s)) - centre_rate
         return (*rates, cosh * (0.5 * jnp.pi * (sigma_rate + pull) - gd(s) * rho_rate) / rho)
 
     def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:
@@ -50,7 +51,7 @@ class LiftedCoordinates(AbstractFunnelCoordinates):
         return loop.errors_in_motion(t, tuple(y[:-1]), tuple(dy[:-1]))[1]
 
     def drift(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike | None:
-        return jnp.abs(loop.sliding_variable(t, tuple(y[:-1])) / loop.control.funnel(t) - ratio(y[-1]))
+        return jnp.abs(loop.ratio(t, tuple(y[:-1])) - ratio(y[-1]))
 
 
 def named_coordinates(name: str, loop: ClosedLoop) -> AbstractCoordinates:

@@ -144,7 +144,8 @@ def _is_leaving(problem: Problem, final: FinalState, is_far: BoolScalarLike) -> 
     pushes_back = _pushes_back(loop, t, x) & _pushes_back(loop, t + instant, loop.coasted(t, x, instant))
     is_fast = (s * s_rate > 0.0) & (speed * instant > 1.0)
     # A run that the input holds at the edge until the gain is gone creeps there, at a speed that rounding decides.
-    soon, pull = _SOON * t, loop.balance(t, x, loop.errors(t, x), loop.desired(t)).residual
+    soon, residual = _SOON * t, loop.balance(t, x, loop.errors(t, x), loop.desired(t)).residual
+    pull = residual - loop.control.funnel.centre_and_rate(t)[1]
     is_carried_out = (s * pull > 0.0) & (margin(s) * loop.control.funnel(t) <= jnp.abs(pull) * soon)
     return (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, loop.coasted(t, x, soon)))
 
@@ -199,7 +200,7 @@ def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike
     loop, t = problem.loop, peak.time
     x = problem.coordinates.state(loop, t, peak.y)
     balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
-    _, rho_rate = loop.control.funnel.width_and_rate(t)
+    (_, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
     gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
-    at_peak = (jnp.abs(balance.residual) + jnp.abs(rho_rate)) / jnp.abs(gain)
+    at_peak = (jnp.abs(balance.residual - centre_rate) + jnp.abs(rho_rate)) / jnp.abs(gain)
     return jnp.maximum(sinh_cosh(first_height)[0], jnp.where(balance.gain == 0.0, jnp.inf, at_peak))

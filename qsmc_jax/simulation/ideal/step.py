@@ -60,11 +60,12 @@ def ideal_signals(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
     """All signals of the ideal loop at one instant; sigma and u from the funnel coordinate."""
     loop, coordinates = problem.loop, problem.coordinates
     x, desired, rho = coordinates.state(loop, t, y), loop.desired(t), loop.control.funnel(t)
+    centre = loop.control.funnel.centre(t)
     s = coordinates.funnel_coordinate(loop, t, y)
     e = loop.errors(t, x)
     balance, u = loop.balance(t, x, e, desired), -loop.control.gain_sign * sinh_cosh(s)[0]
     part, (d, w, g) = ratio(s), (balance.disturbance, balance.residual, balance.gain)
-    return Signals(t, x, desired[:-1], e, rho * part, rho, part, u, d, w, g)
+    return Signals(t, x, desired[:-1], e, rho * part + centre, rho, part, u, d, w, g)
 
 
 def no_step(y: Scalars) -> Step:

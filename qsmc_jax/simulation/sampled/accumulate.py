@@ -95,9 +95,9 @@ def first_cell_metrics(problem: Problem, start: LoopPoint) -> RunningCellMetrics
     zero = jnp.zeros(())
     none = OutsideStep(zero, zero, Cubic(zero, zero, zero, zero))
     return RunningCellMetrics(
-        peak_ratio=jnp.abs(start.sigma) / start.rho,
+        peak_ratio=jnp.abs(start.ratio),
         peak_time=zero,
-        peak_excess=jnp.abs(start.sigma) - start.rho,
+        peak_excess=jnp.abs(start.sigma - start.centre) - start.rho,
         first_exit=none,
         last_exit=none,
         outside=none,
@@ -184,8 +184,9 @@ def _excess(cell: Cell, sigma: Cubic, side: RealScalarLike) -> RealScalarLike:
     It is farthest out at another instant than the ratio is highest: the funnel shrinks.
     """
     left, right, h = cell.left, cell.right, cell.length
-    slopes = side * sigma.m0 - h * left.rho_rate, side * sigma.m1 - h * right.rho_rate
-    past = Cubic(side * left.sigma - left.rho, side * right.sigma - right.rho, *slopes)
+    ends = [side * (end.sigma - end.centre) - end.rho for end in (left, right)]
+    rates = zip((sigma.m0, sigma.m1), (left, right), strict=True)
+    past = Cubic(*ends, *(side * (m - h * end.centre_rate) - h * end.rho_rate for m, end in rates))
     return jnp.maximum(past(past.parabolas_turn()), past.y1)
 
 

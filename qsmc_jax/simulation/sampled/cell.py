@@ -26,6 +26,8 @@ class LoopPoint(AbstractModule):
         residual: $w$ in $\dot\sigma = w + g u$.
         rho: Half-width of the funnel.
         rho_rate: Its rate.
+        centre: Centre of the funnel.
+        centre_rate: Its rate.
     """
 
     t: RealScalarLike
@@ -37,6 +39,13 @@ class LoopPoint(AbstractModule):
     residual: RealScalarLike
     rho: RealScalarLike
     rho_rate: RealScalarLike
+    centre: RealScalarLike
+    centre_rate: RealScalarLike
+
+    @property
+    def ratio(self) -> RealScalarLike:
+        r"""Where in the funnel it is, $z = (\sigma - m) / \rho$."""
+        return (self.sigma - self.centre) / self.rho
 
     def sigma_rate(self, u: RealScalarLike) -> RealScalarLike:
         """The rate of the sliding variable under the input u."""
@@ -64,7 +73,8 @@ def loop_point(problem: Problem, t: RealScalarLike, x: Scalars) -> LoopPoint:
     surface, funnel = loop.control.surface, loop.control.funnel
     rho, rho_rate = funnel.width_and_rate(t)
     rho = barrier(rho)
-    return LoopPoint(t, x, terms, errors, rates, surface(errors), surface(rates), rho, rho_rate)
+    centre = funnel.centre_and_rate(t)
+    return LoopPoint(t, x, terms, errors, rates, surface(errors), surface(rates), rho, rho_rate, *centre)
 
 
 class Cell(AbstractModule):
@@ -102,11 +112,11 @@ class Cell(AbstractModule):
         return cubics(self.length, self.left.errors, self.right.errors, *rates)
 
     def ratio(self) -> Cubic:
-        r"""$z = \sigma/\rho$ in it, with $\dot z = (\dot\sigma - z \dot\rho)/\rho$."""
+        r"""$z = (\sigma - m)/\rho$ in it, with $\dot z = (\dot\sigma - \dot m - z \dot\rho)/\rho$."""
         left, right, h, sigma = self.left, self.right, self.length, self.sigma()
-        z0, z1 = left.sigma / left.rho, right.sigma / right.rho
-        m0 = (sigma.m0 - h * z0 * left.rho_rate) / left.rho
-        m1 = (sigma.m1 - h * z1 * right.rho_rate) / right.rho
+        z0, z1 = left.ratio, right.ratio
+        m0 = (sigma.m0 - h * left.centre_rate - h * z0 * left.rho_rate) / left.rho
+        m1 = (sigma.m1 - h * right.centre_rate - h * z1 * right.rho_rate) / right.rho
         return Cubic(z0, z1, m0, m1)
 
 
@@ -140,9 +150,9 @@ class CellStep(AbstractStep):
 def sampled_signals(problem: Problem, now: LoopPoint, u: RealScalarLike) -> Signals:
     """All signals of a loop with an implementation at one instant, under the input u."""
     desired = problem.loop.desired(now.t)[:-1]
-    part, terms = now.sigma / now.rho, now.terms
+    terms = now.terms
     return Signals(
-        now.t, now.x, desired, now.errors, now.sigma, now.rho, part, u, terms.disturbance, now.residual, terms.gain
+        now.t, now.x, desired, now.errors, now.sigma, now.rho, now.ratio, u, terms.disturbance, now.residual, terms.gain
     )
 
 

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
-from qsmc_jax.control.control import Sample
 from qsmc_jax.enclosures.unseen import Nodes, Step
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.implementation.swing import held_swing
@@ -29,11 +28,11 @@ from qsmc_jax.simulation.sampled.accumulate import (
     RunningCellMetrics,
     RunningCommandMetrics,
     add_cell,
-    add_command,
     first_cell_metrics,
     first_command_metrics,
 )
 from qsmc_jax.simulation.sampled.cell import Cell, LoopPoint, loop_point
+from qsmc_jax.simulation.sampled.computer import Computer, place_in, sample
 from qsmc_jax.simulation.settings import INSTANT, SolverSettings, absolute_tolerance
 from qsmc_jax.solvers.explicit import explicit_stages, weighted
 
@@ -46,28 +45,6 @@ _NODES = Nodes(tuple(sorted({0.0, *map(float, _TABLEAU.c)})), few=(0.0, 0.5, 1.0
 _LOST = 1000.0
 _SHRINKS_BY, _GROWS_BY, _SAFETY = 0.2, 5.0, 0.9
 _FIRST_STEP, _SHORTEST_STEP = 1e-2, 1e-14  # of the horizon
-
-
-class Computer(AbstractModule):
-    """The controller's side: what it keeps, and the commands under way.
-
-    Attributes:
-        memory: The law's own memory.
-        sent: The last command computed.
-        held: The command that the actuator has.
-        sample: Number of the next sample.
-        arrival: Number of the next command to arrive.
-        queue: Commands under way, that of sample k at k modulo the length; None if none are ever.
-        has_overflown: Whether more commands were under way than the queue holds.
-    """
-
-    memory: Scalars
-    sent: RealScalarLike
-    held: RealScalarLike
-    sample: RealScalarLike
-    arrival: RealScalarLike
-    queue: Float[Array, " queue"] | None
-    has_overflown: Bool[Array, ""]
 
 
 class Saved(AbstractModule):
@@ -89,7 +66,7 @@ class LoopState(AbstractModule):
         step: Length [s] of the longest cell that the tolerance allows, as far as is known.
         steps: Cells tried so far.
         is_running: Whether the run goes on.
-        first_ratio: |sigma| / rho at the start.
+        first_ratio: |z| at the start, z where in the funnel the sliding variable is.
         cells: Metrics of the plant.
         commands: Metrics of the commands.
         saved: States and inputs at the times asked for.
@@ -167,7 +144,7 @@ def run_sampled(
         step=_FIRST_STEP * horizon,
         steps=zero,
         is_running=jnp.asarray(is_admitted),
-        first_ratio=jnp.abs(start.sigma) / start.rho,
+        first_ratio=jnp.abs(start.ratio),
         cells=first_cell_metrics(problem, start),
         commands=first_command_metrics(),
         saved=None if ts is None else Saved(ts, (jnp.zeros_like(ts),) * len(x0), jnp.zeros_like(ts), jnp.array(0)),
@@ -200,7 +177,9 @@ def _constants(
     just_before = jnp.where(jnp.isfinite(fixed), jnp.nextafter(fixed, -jnp.inf) - fixed, 0.0)
     breaks = jnp.concatenate([breaks + just_before, breaks])
     degree = loop.order - 1
-    rate = funnel.mu if degree == 0 else jnp.maximum(funnel.mu, jnp.abs(loop.control.surface.c[0]) ** (1.0 / degree))
+    rate = funnel.rate
+    if degree > 0:
+        rate = jnp.maximum(rate, jnp.abs(loop.control.surface.c[0]) ** (1.0 / degree))
     cutoff = 5.0 * rate if implementation.cutoff is None else implementation.cutoff
     return LoopConstants(problem, implementation, horizon, breaks, cutoff, settings.rtol, settings.max_steps)
 
@@ -302,8 +281,9 @@ def _misread(constants: LoopConstants, cell: Cell) -> RealScalarLike:
     turns that has the slopes of both ends.
     """
     z, sigma, middle = cell.ratio(), cell.sigma(), cell.left.t + 0.5 * cell.length
+    funnel = constants.problem.loop.control.funnel
     bend, *_ = z.coefficients()
-    return jnp.abs(z(0.5) - sigma(0.5) / constants.problem.loop.control.funnel(middle)) + 0.1 * jnp.abs(bend)
+    return jnp.abs(z(0.5) - (sigma(0.5) - funnel.centre(middle)) / funnel(middle)) + 0.1 * jnp.abs(bend)
 
 
 def _path(now: LoopPoint, h: RealScalarLike, x1: Scalars, rates0: Scalars, rates1: Scalars) -> Path:
@@ -329,51 +309,19 @@ def _handle(
     """What happens at the end of a cell: a command arrives, a sample is taken, a state is saved."""
     t, computer, commands, (is_captured, arrives) = state.now.t, state.computer, state.commands, happens
     if computer.queue is not None:
-        place = _place(computer.arrival, computer.queue)
+        place = place_in(computer.queue, computer.arrival)
         computer = dataclasses.replace(
             computer,
             held=jnp.where(arrives, computer.queue[place], computer.held),
             arrival=jnp.where(arrives, computer.arrival + 1.0, computer.arrival),
         )
     samples = is_captured & (t < constants.horizon)
-    sampled, accumulated = _sample(constants, state, computer)
+    sampled, accumulated = sample(constants.problem, constants.implementation, state.now, computer, commands)
     computer = pytrees.where(samples, sampled, computer)
     commands = pytrees.where(samples, accumulated, commands)
     state = dataclasses.replace(state, computer=computer, commands=commands)
     saved = state.saved
     return state if saved is None else _save(constants, state, saved, has_event & (t >= _save_time(saved)))
-
-
-def _sample(constants: LoopConstants, state: LoopState, computer: Computer) -> tuple[Computer, RunningCommandMetrics]:
-    """The computer after one more sample, and the metrics of its commands."""
-    loop, implementation, now, k = constants.problem.loop, constants.implementation, state.now, computer.sample
-    is_old = implementation.measurement_delay is not None
-    is_exact = implementation.noise is None and implementation.measurement_resolution is None
-    t = implementation.instant(k) if is_old else now.t
-    rho = loop.control.funnel(t) if is_old else now.rho
-    desired = loop.desired(t)
-    if is_old or not is_exact:
-        measured = implementation.measured(now.x, t, k)
-        sigma = loop.control.surface(tuple(x - d for x, d in zip(measured, desired, strict=False)))
-    else:
-        sigma = now.sigma
-    sample = Sample(t, implementation.sample_period, sigma, rho, desired, implementation.beyond)
-    wanted, memory = loop.control.command(sample, computer.memory)
-    command = constants.problem.barrier(implementation.limited(wanted, computer.sent))
-    is_steady = t >= constants.problem.reaching_time
-    accumulated = add_command(state.commands, command, computer.sent, implementation.sample_period, is_steady)
-    new = dataclasses.replace(computer, memory=memory, sent=command, sample=k + 1.0)
-    if computer.queue is None:
-        return dataclasses.replace(new, held=command), accumulated
-    place = _place(k, computer.queue)
-    is_full = k - computer.arrival >= computer.queue.shape[0]
-    queue, has_overflown = computer.queue.at[place].set(command), computer.has_overflown | is_full
-    return dataclasses.replace(new, queue=queue, has_overflown=has_overflown), accumulated
-
-
-def _place(k: RealScalarLike, queue: Float[Array, " queue"]) -> Int[Array, ""]:
-    """Where in the queue the command of sample k lies."""
-    return jnp.asarray(k % queue.shape[0]).astype(int)
 
 
 def _save(constants: LoopConstants, state: LoopState, saved: Saved, is_time: BoolScalarLike) -> LoopState:
@@ -388,7 +336,7 @@ def _save(constants: LoopConstants, state: LoopState, saved: Saved, is_time: Boo
 
 def _judged(constants: LoopConstants, state: LoopState) -> LoopState:
     """Whether the run goes on."""
-    z = jnp.abs(state.now.sigma) / state.now.rho
+    z = jnp.abs(state.now.ratio)
     goes_on = (
         (state.now.t < constants.horizon)
         & (z < state.farthest)

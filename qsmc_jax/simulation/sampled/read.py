@@ -80,7 +80,7 @@ def read_sampled_metrics(
 
 def _outcome(refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, state: LoopState) -> Int[Array, ""]:
     """The code of how the run ended."""
-    z = jnp.abs(state.now.sigma) / state.now.rho
+    z = jnp.abs(state.now.ratio)
     cases = (
         (state.now.t >= horizon, Outcome.COMPLETED),
         (state.computer.has_overflown, Outcome.QUEUE_FULL),
