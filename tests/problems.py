@@ -160,6 +160,8 @@ def decay(z0, gain, t1):
         "peak_ratio": z0,
         "peak_time": 0.0,
         "peak_u": math.tan(math.pi * z0 / 2),
+        "max_u": -math.tan(math.asin(end)),
+        "min_u": -math.tan(math.pi * z0 / 2),
         "reach_time": math.log(start / math.sin(math.pi * STILL_BANDWIDTH / (2 * WIDTH))) / k,
         "energy_u": math.log((1 - end**2) / (1 - start**2)) / (2 * k),
         "total_variation_u": math.tan(math.pi * z0 / 2) - math.tan(math.asin(end)),
@@ -173,9 +175,17 @@ def equilibrium(level, gain):
     loop = scalar_loop(STILL, level=level, gain_scale=gain)
     ratio = 2 / math.pi * math.atan(abs(level) / gain)
     u = abs(level) / gain
+    extremes = {"max_u": max(0.0, -level / gain), "min_u": min(0.0, -level / gain)}
     answers = {"peak_ratio": ratio, "peak_u": u, "total_variation_u": u, "x1": math.copysign(ratio * WIDTH, level)}
     return Problem(
-        f"balance at d = {level}", ("held",), equilibrium.__doc__, loop, (0.0,), 60.0, STILL_BANDWIDTH, answers
+        f"balance at d = {level}",
+        ("held",),
+        equilibrium.__doc__,
+        loop,
+        (0.0,),
+        60.0,
+        STILL_BANDWIDTH,
+        answers | extremes,
     )
 
 

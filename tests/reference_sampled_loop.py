@@ -26,8 +26,8 @@ Run = collections.namedtuple("Run", "times commands trajectory metrics")  # time
 Sample = collections.namedtuple("Sample", "k t period sigma rho desired")  # what a law is given
 Metrics = collections.namedtuple(
     "Metrics",  # those of the steady phase are NaN if there is none
-    "peak_ratio peak_excess violation_time recovery_time reach_time peak_u total_variation_u energy_u rms_error "
-    "peak_errors excess_variation_u peak_rate_u reversal_rate high_frequency_ratio",
+    "peak_ratio peak_excess violation_time recovery_time reach_time peak_u max_u min_u total_variation_u energy_u "
+    "rms_error peak_errors excess_variation_u peak_rate_u reversal_rate high_frequency_ratio",
 )
 
 
@@ -54,7 +54,8 @@ class SampledLoop:
     `drift(t, x)`, `gain(t, x)` (x: a sequence of n), `disturbance(t)`, `fault(t)`: numbers; `desired(t)`: the reference
     and its first n derivatives; `unmatched`: none or n - 1 functions of time; `law(sample, memory)`: command, memory;
     `noise(k, t)`: n numbers; `jitter(k)`: by which fraction of the period sample k is late; `jumps`: when any of them
-    jumps; `lag`: time constant of a first-order actuator; `oscillator`: frequency, damping of a second-order one.
+    jumps; `lag`: time constant of a first-order actuator, and its largest `rate`; `oscillator`: frequency, damping
+    of a second-order one; `zone`: half-width of the dead zone behind it.
     """
 
     drift: Callable
@@ -78,6 +79,8 @@ class SampledLoop:
     input_resolution: float = 0.0
     noise: Callable = lambda k, t: itertools.repeat(0.0)
     lag: float = 0.0
+    rate: float = math.inf
+    zone: float = 0.0
     oscillator: tuple[float, float] | None = None
     fault: Callable = lambda t: 1.0
     unmatched: tuple = ()
@@ -116,6 +119,10 @@ class SampledLoop:
         w, g = np.broadcast_arrays(w, self.fault(t) * self.gain(t, x))
         return np.divide(-w, g, out=np.zeros(w.shape), where=g != 0.0)
 
+    def beyond(self, v):
+        """What the dead zone leaves of the actuator's position."""
+        return np.where(np.abs(v) <= self.zone, 0.0, v - np.sign(v) * self.zone)
+
     def command(self, k, t, x, last, memory):
         """The command of sample k at time t, which reads the state x, and the law's memory."""
         noise, steps = self.noise(k, t), self.measurement_resolution
@@ -129,11 +136,11 @@ class SampledLoop:
     def rates(self, t, y, command):
         """Of the plant's states, the actuator's, the filter's, and of the integrals."""
         x, actuator, (z, z_rate, *_) = y[: self.order], y[self.order : -EXTRAS], y[-EXTRAS:]
-        u = actuator[0] if self.lags else command
-        moved = [(command - u) / self.lag] if self.lag > 0.0 else []
+        v = actuator[0] if self.lags else command
+        u, moved = self.beyond(v), [np.clip((command - v) / self.lag, -self.rate, self.rate)] if self.lag > 0.0 else []
         if self.oscillator:
             frequency, damping = self.oscillator
-            moved = [actuator[1], frequency**2 * (command - u) - 2.0 * damping * frequency * actuator[1]]
+            moved = [actuator[1], frequency**2 * (command - v) - 2.0 * damping * frequency * actuator[1]]
         passed = u - math.sqrt(2.0) * self.cutoff * z_rate - self.cutoff**2 * z
         return [*self.plant_rates(t, x, u), *moved, z_rate, passed, passed**2, u**2, (x[0] - self.desired(t)[0]) ** 2]
 
@@ -152,7 +159,7 @@ class Trajectory:
         """The n states and the input at time t, or at times within one step."""
         i = max(bisect.bisect(self.steps, np.min(t), key=lambda step: step.t_min) - 1, 0)
         y, n = self.steps[i](t), self.loop.order
-        return y[:n], y[n] if self.loop.lags else 0.0 * t + self.commands[i]
+        return y[:n], self.loop.beyond(y[n] if self.loop.lags else 0.0 * t + self.commands[i])
 
     def size(self, t):
         return abs(self.loop.sigma(t, self.at(t)[0]))
@@ -217,6 +224,8 @@ def _metrics(run, steady, last, t_r, horizon, bandwidth):
         "recovery_time": recovery,
         "reach_time": crossings(t, sigma - bandwidth, lambda s: size(s) - bandwidth)[1],
         "peak_u": np.max(np.abs(path)),
+        "max_u": np.max(path),
+        "min_u": np.min(path),
         "total_variation_u": variation(path),
         "energy_u": last[-2],
         "rms_error": math.sqrt(last[-1] / horizon),

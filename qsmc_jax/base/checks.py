@@ -93,6 +93,14 @@ def require_nonnegative(name: str, value: Any) -> None:
         require(ok, f"Argument `{name}` must be finite and not negative, but is {show(value)}.")
 
 
+def require_range(name: str, limits: Any) -> None:
+    """Raises unless there are two numbers, the smaller one first; they may be infinite."""
+    require(np.shape(limits) == (2,), f"Argument `{name}` must be two numbers, but has shape {np.shape(limits)}.")
+    if not is_traced(limits):
+        low, high = map(float, limits)
+        require(low < high, f"Argument `{name}` must have low < high, but is ({show(low)}, {show(high)}).")
+
+
 def require_sign(name: str, value: Any) -> None:
     """Raises unless every entry of `value` is 1 or -1."""
     if not is_traced(value):

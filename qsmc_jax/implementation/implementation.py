@@ -16,6 +16,7 @@ from qsmc_jax.base.checks import (
     require_finite,
     require_nonnegative,
     require_positive,
+    require_range,
     show,
 )
 from qsmc_jax.base.module import AbstractModule, float_field
@@ -121,11 +122,12 @@ class Implementation(AbstractModule):
         measurement_delay: Age [s] of what is measured, not negative.
         saturation: Largest absolute command, positive.
         input_range: Least and largest command, such as (0, 4) for a magnet that can only pull; they may be infinite.
-        rate_limit: Largest change of the command per time, positive; before the first sample it was 0.
+        rate_limit: Largest change of the command per time, positive; before the first sample it was 0. That of the
+            actuator itself is one of `qj.actuators.RateLimited`.
         measurement_resolution: Steps to which the states are rounded, n numbers, not negative; 0 for none.
         input_resolution: Step to which the command is rounded, not negative; 0 for none.
         noise: Noise on the measured states.
-        actuator: The lag between the command and the plant's input.
+        actuator: What is between the command and the plant's input: a lag, a rate limit, stops, a dead zone.
         gain_fault: A gain that is wrong for a while.
         unmatched: Disturbances of the first n - 1 states, $\dot x_i = x_{i+1} + d_i(t)$, which the paper excludes:
             n - 1 of them, or none.
@@ -174,7 +176,7 @@ class Implementation(AbstractModule):
             ok = part is None or isinstance(part, kind)
             require(ok, f"Argument `{name}` must be {_KINDS[name]} or None, but is {part!r}.")
         if self.input_range is not None:
-            _require_range(self.input_range)
+            require_range("input_range", self.input_range)
         if self.unmatched:
             require_disturbances("unmatched", self.unmatched)
         known = get_args(Beyond)
@@ -293,7 +295,7 @@ _PARTS = {"jitter": Jitter, "noise": AbstractNoise, "actuator": AbstractActuator
 _KINDS = {
     "jitter": "a `Jitter`",
     "noise": "one of `qsmc_jax.noises`",
-    "actuator": "one of `qsmc_jax.actuators` (`FirstOrderLag`, `SecondOrderLag`)",
+    "actuator": "one of `qsmc_jax.actuators` (`FirstOrderLag`, `SecondOrderLag`, `RateLimited`, `DeadZone`)",
     "gain_fault": "a `GainFault`",
 }
 
@@ -320,14 +322,6 @@ def random_jitter(draw: Draw, name: str, fraction: RealScalarLike) -> Jitter:
         ['jitter.seed']
     """
     return Jitter(fraction, draw.uniform(f"{name}.seed", 0.0, 1.0))
-
-
-def _require_range(limits: Any) -> None:
-    """Raises unless there are two numbers, the smaller one first; traced ones pass."""
-    require(np.shape(limits) == (2,), f"Argument `input_range` must be two numbers, but has shape {np.shape(limits)}.")
-    if not is_traced(limits):
-        low, high = map(float, limits)
-        require(low < high, f"Argument `input_range` must have low < high, but is ({show(low)}, {show(high)}).")
 
 
 def _rounded(value: RealScalarLike, step: Any) -> RealScalarLike:

@@ -8,10 +8,20 @@ from qsmc_jax.base.types import RealScalarLike
 
 
 class Swing(NamedTuple):
-    """What an input does over a stretch of time: its total variation, its largest size, the integral of its square."""
+    """What an input does over a stretch of time.
+
+    Attributes:
+        variation: Its total variation.
+        low: Its least value, both ends included.
+        high: Its largest.
+        area: Its integral.
+        energy: The integral of its square.
+    """
 
     variation: RealScalarLike
-    peak: RealScalarLike
+    low: RealScalarLike
+    high: RealScalarLike
+    area: RealScalarLike
     energy: RealScalarLike
 
 
@@ -22,4 +32,4 @@ def held_swing(command: RealScalarLike, dt: RealScalarLike) -> Swing:
         command: The command that is held.
         dt: Time [s] that passes.
     """
-    return Swing(jnp.zeros_like(dt), jnp.abs(command), dt * command**2)
+    return Swing(jnp.zeros_like(dt), command, command, dt * command, dt * command**2)

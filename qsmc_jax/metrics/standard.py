@@ -88,11 +88,11 @@ class Metrics(AbstractModule):
     """The metrics of one run, each a scalar (`peak_errors`: n scalars). What is not known is NaN, never a guess.
 
     At default settings, relative to their size, `total_variation_u`, `peak_errors` and `peak_u_bound` of an ideal loop
-    are good to 1e-4, `margin`, `peak_ratio`, `energy_u`, `peak_u` and `rms_error` to 1e-5. At `reach_time` |sigma| is
-    the bandwidth to 1e-4, and at `peak_time` |sigma|/rho its peak to 1e-5; `violation_time` is good to 1e-5 of the
-    horizon. With `tight()` all are good to a tenth of that. `settle_time` is late by up to a step; before t_r, where
-    nothing is claimed of errors, they are looked at where steps meet only. `least_gain` and `largest_disturbance` are
-    what was met there; the others are exact.
+    are good to 1e-4, `margin`, `peak_ratio`, `energy_u`, `peak_u` and `rms_error` to 1e-5, `max_u` and `min_u` to 1e-5
+    of `peak_u`. At `reach_time` |sigma| is the bandwidth to 1e-4, and at `peak_time` |sigma|/rho its peak to 1e-5;
+    `violation_time` is good to 1e-5 of the horizon. With `tight()` all are good to a tenth of that. `settle_time` is
+    late by up to a step; before t_r, where nothing is claimed of errors, they are looked at where steps meet only.
+    `least_gain` and `largest_disturbance` are what was met there; the others are exact.
 
     Attributes:
         sampled: Additional metrics of a loop with an implementation; None for the ideal loop.
@@ -136,6 +136,15 @@ class Metrics(AbstractModule):
     )
     peak_u: Float[Array, ""] = metric(
         meaning="sup |u|, units of the input", label=r"$\sup |u|$", worse="high", has_gradient=True, is_compared=True
+    )
+    max_u: Float[Array, ""] = metric(
+        meaning="sup u, with its sign, units of the input", label=r"$\sup u$", worse="high", has_gradient=True
+    )
+    min_u: Float[Array, ""] = metric(
+        meaning="inf u, with its sign: negative where a one-sided actuator would be asked for what it can't give",
+        label=r"$\inf u$",
+        worse="low",
+        has_gradient=True,
     )
     peak_u_bound: Float[Array, ""] = metric(
         meaning="What the comparison lemma allows for `peak_u`; a higher peak is a defect of the simulator",

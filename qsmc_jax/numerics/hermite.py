@@ -128,6 +128,14 @@ class Quartic(NamedTuple):
             theta = jnp.clip(theta - step, 0.0, 1.0)
         return stop_gradient(theta)
 
+    def extremes(self) -> tuple[RealScalarLike, RealScalarLike]:
+        r"""The least and the largest $p$ after the start, looked for at the end and where the cubic turns.
+
+        Where the quartic turns beside these places, that is off by the square of the distance only.
+        """
+        values = (self.ends.y1, *map(self, self.ends.turning_points()))
+        return ft.reduce(jnp.minimum, values), ft.reduce(jnp.maximum, values)
+
     def highest(self) -> tuple[RealScalarLike, RealScalarLike]:
         r"""Where $|p|$ is highest, and how high: the highest place of the cubic, improved if it lies inside."""
         place, height = jnp.ones_like(self.ends.y1), jnp.abs(self.ends.y1)

@@ -64,7 +64,8 @@ def _implemented(loop: ClosedLoop, made: Implementation) -> dict[str, _Part]:
         return control.first_memory(), control.command(sample, memory)
 
     def move(actuator: AbstractActuator, state: Scalars, *rest: Any) -> Any:
-        return actuator.rest(), actuator.move(state, *rest), actuator.swing(state, *rest)
+        motion = actuator.move(state, *rest), actuator.swing(state, *rest)
+        return actuator.rest(), motion, actuator.kinks(state, rest[0])
 
     memory = (number,) * len(control.first_memory())
     given = number, number, number, number, (number,) * (loop.order + 1), memory, (number,) * loop.order

@@ -28,7 +28,7 @@ INTERFACES = {
     qj.references.Smooth: "`AbstractReference` of `qsmc_jax.model.references`",
     qj.disturbances.Sine: "`AbstractDisturbance` of `qsmc_jax.model.disturbances.disturbance`",
     qj.noises.White: "`AbstractNoise` of `qsmc_jax.implementation.noises`",
-    qj.actuators.FirstOrderLag: "`AbstractActuator` of `qsmc_jax.implementation.actuators`",
+    qj.actuators.FirstOrderLag: "`AbstractMonotoneActuator` of `qsmc_jax.implementation.actuators.actuator`",
     qj.Random: "`AbstractSampling` of `qsmc_jax.study.sampling`",
 }
 

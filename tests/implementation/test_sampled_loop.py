@@ -132,6 +132,16 @@ def slow_actuator():
     return Case("noise and a lag", ours, example1(4e-3, noise=values(noise, 900), lag=0.02), (0.1, 0.1))
 
 
+def rudder():
+    """Most commands of the first second are so far away that the actuator's rate saturates, and it crosses its zone."""
+    tones = [(0.002, 31.0), (0.02, 47.0)]
+    noise = qj.noises.Signals([qj.disturbances.Sine(a, w) for a, w in tones])
+    actuator = qj.actuators.DeadZone(0.15, qj.actuators.RateLimited(0.01, 20.0))
+    ours = loop1(sample_period=0.02, noise=noise, actuator=actuator)
+    fields = {"noise": lambda k, t: [a * np.sin(w * t) for a, w in tones], "lag": 0.01, "rate": 20.0, "zone": 0.15}
+    return Case("a limited rate and a dead zone", ours, example1(0.02, **fields), (0.9, 0.9), error=1e-6)
+
+
 def ringing_actuator():
     tones = [(0.002, 31.0), (0.01, 47.0)]
     noise = qj.noises.Signals([qj.disturbances.Sine(a, w) for a, w in tones])
@@ -174,6 +184,7 @@ CASES = [
     limits(),
     lateness(),
     slow_actuator(),
+    rudder(),
     ringing_actuator(),
     faults(),
     outside("saturate"),

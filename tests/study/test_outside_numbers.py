@@ -65,6 +65,10 @@ class Lag(qj.actuators.AbstractActuator):
         """That of the lag."""
         return self._inner().swing(state, command, dt)
 
+    def kinks(self, state, command):
+        """None."""
+        return ()
+
     def is_valid(self):
         """Always."""
         return True

@@ -34,6 +34,13 @@ class Peak(AbstractModule):
     y: Scalars
 
 
+class Extremes(AbstractModule):
+    """The least and the largest s: the input is monotone in it."""
+
+    low: RealScalarLike
+    high: RealScalarLike
+
+
 class Drift(AbstractModule):
     """How far apart the coordinates' two ways to tell sigma/rho got at most, and the least margin beyond that."""
 
@@ -51,6 +58,7 @@ class RunningMetrics(AbstractModule):
     errors: Scalars
     u: RealScalarLike
     peak: Peak
+    extremes: Extremes
     outside: OutsideStep
     unsettled: Span
     peak_errors: Scalars
@@ -86,6 +94,7 @@ def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
         errors=as_scalars(loop.errors(zero, x0)),
         u=sinh_cosh(s0)[0],
         peak=Peak(jnp.abs(s0), zero, as_scalars(y0)),
+        extremes=Extremes(jnp.asarray(s0), jnp.asarray(s0)),
         outside=OutsideStep(zero, zero, Cubic(zero, zero, zero, zero)),
         unsettled=Span(zero, zero),
         peak_errors=(zero,) * loop.order,
@@ -114,13 +123,16 @@ def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMe
     heights = problem.barrier(tuple(cubic.largest(steady_from) for cubic in error_cubics))
     sigma_height = problem.barrier(sigma.largest())
     exceeds = problem.barrier.claim(_exceeds(problem, heights, left.errors))
-    peak = _peak(problem, step, s)
+    middle = problem.coordinates.funnel_coordinate(loop, step.t0 + 0.5 * h, step.middle)
+    path = Quartic(s, middle)
+    peak, (low, high) = _peak(problem, step, path), problem.barrier(path.extremes())
     x1 = problem.coordinates.state_of(loop, t1, step.y1, right.errors)
     gain, disturbance = loop.control.gain_sign * loop.gain(t1, x1), jnp.abs(loop.disturbance(t1))
     return RunningMetrics(
         errors=as_scalars(right.errors),
         u=u1,
         peak=pytrees.where(peak.height > running.peak.height, peak, running.peak),
+        extremes=Extremes(jnp.minimum(running.extremes.low, low), jnp.maximum(running.extremes.high, high)),
         outside=pytrees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), running.outside),
         unsettled=pytrees.where(exceeds, Span(step.t0, t1), running.unsettled),
         peak_errors=pytrees.where(
@@ -149,11 +161,10 @@ def _drift(problem: Problem, running: Drift | None, step: Step, peak: Peak) -> D
     return Drift(jnp.maximum(drift, running.largest), jnp.minimum(margin(peak.height) - drift, running.room))
 
 
-def _peak(problem: Problem, step: Step, s: Cubic) -> Peak:
-    """The peak of |s| in the step, by the quartic through its ends and its middle."""
+def _peak(problem: Problem, step: Step, s: Quartic) -> Peak:
+    """The peak of |s| in the step."""
     h = step.t1 - step.t0
-    middle = problem.coordinates.funnel_coordinate(problem.loop, step.t0 + 0.5 * h, step.middle)
-    theta, height = problem.barrier(Quartic(s, middle).highest())
+    theta, height = problem.barrier(s.highest())
     y = tuple(cubic(theta) for cubic in cubics(h, step.y0, step.y1, step.dy0, step.dy1))
     return Peak(height, step.t0 + theta * h, y)
 

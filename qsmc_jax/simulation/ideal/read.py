@@ -56,6 +56,7 @@ def read_metrics(problem: Problem, final: FinalState) -> Metrics:
     extent = Extent(final.end_time, final.horizon, is_complete, ~is_refused(outcome), resolution)
     has_left = outcome == Outcome.LEFT_FUNNEL
     is_steady = is_complete & (final.end_time > problem.reaching_time)
+    min_u, max_u, leaves_upwards = _signed_input(problem, final)
 
     def known(value: RealScalarLike, where_left: RealScalarLike = jnp.nan) -> Float[Array, ""]:
         return jnp.where(is_complete, value, jnp.where(has_left, where_left, jnp.nan))
@@ -70,6 +71,8 @@ def read_metrics(problem: Problem, final: FinalState) -> Metrics:
         margin=known(margin(peak.height), 0.0),
         peak_time=known(peak.time, final.end_time),
         peak_u=known(sinh_cosh(peak.height)[0], jnp.inf),
+        max_u=known(max_u, jnp.where(leaves_upwards, jnp.inf, jnp.nan)),
+        min_u=known(min_u, jnp.where(leaves_upwards, jnp.nan, -jnp.inf)),
         peak_u_bound=known(_comparison_bound(problem, peak, final.first_height)),
         reach_time=known(reach_time, jnp.inf),
         violation_time=known(jnp.inf, _escape_time(problem, final, has_left)),
@@ -101,6 +104,14 @@ def _outcome(problem: Problem, final: FinalState) -> Int[Array, ""]:
         (is_stuck, Outcome.STEP_TOO_SMALL),
     )
     return first_to_apply(final.refused, cases, Outcome.MAX_STEPS)
+
+
+def _signed_input(problem: Problem, final: FinalState) -> tuple[RealScalarLike, RealScalarLike, BoolScalarLike]:
+    """The least and the largest input, and whether that of a run which left grew upwards."""
+    extremes, sign = final.run.running.extremes, problem.loop.control.gain_sign
+    ends = tuple(-sign * sinh_cosh(s)[0] for s in (extremes.low, extremes.high))
+    s = problem.coordinates.funnel_coordinate(problem.loop, final.end_time, final.run.y)
+    return jnp.minimum(*ends), jnp.maximum(*ends), jnp.asarray(sign * s < 0.0)
 
 
 def _has_drifted(final: FinalState) -> Bool[Array, ""]:

@@ -66,7 +66,8 @@ class RunningCellMetrics(AbstractModule):
     """The metrics of the plant and its input, all scalars; see `Metrics` for what becomes of them.
 
     `first_exit` is the first cell with |z| >= 1 somewhere, `last_exit` the last, `outside` the last with |sigma| >=
-    bandwidth, `unsettled` the last in which an error reached its bound.
+    bandwidth, `unsettled` the last in which an error reached its bound. The extremes of the input leave out
+    what it was at time 0 alone, before the first command.
     """
 
     peak_ratio: RealScalarLike
@@ -77,7 +78,8 @@ class RunningCellMetrics(AbstractModule):
     outside: OutsideStep
     unsettled: Span
     peak_errors: Scalars
-    peak_u: RealScalarLike
+    max_u: RealScalarLike
+    min_u: RealScalarLike
     last_u: RealScalarLike
     total_variation: RealScalarLike
     steady_variation: RealScalarLike
@@ -92,7 +94,7 @@ class RunningCellMetrics(AbstractModule):
 
 def first_cell_metrics(problem: Problem, start: LoopPoint) -> RunningCellMetrics:
     """The metrics at time 0, before any input."""
-    zero = jnp.zeros(())
+    zero, inf = jnp.zeros(()), jnp.full((), jnp.inf)
     none = OutsideStep(zero, zero, Cubic(zero, zero, zero, zero))
     return RunningCellMetrics(
         peak_ratio=jnp.abs(start.ratio),
@@ -103,7 +105,8 @@ def first_cell_metrics(problem: Problem, start: LoopPoint) -> RunningCellMetrics
         outside=none,
         unsettled=Span(zero, zero),
         peak_errors=(zero,) * problem.loop.order,
-        peak_u=zero,
+        max_u=-inf,
+        min_u=inf,
         last_u=zero,
         total_variation=zero,
         steady_variation=zero,
@@ -151,7 +154,8 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, running: RunningCellMetri
         peak_errors=pytrees.where(
             is_steady, tuple(map(jnp.maximum, heights, running.peak_errors)), running.peak_errors
         ),
-        peak_u=jnp.maximum(running.peak_u, cell.swing.peak),
+        max_u=jnp.where(t1 > 0.0, jnp.maximum(running.max_u, cell.swing.high), running.max_u),
+        min_u=jnp.where(t1 > 0.0, jnp.minimum(running.min_u, cell.swing.low), running.min_u),
         last_u=cell.u1,
         total_variation=running.total_variation + change,
         steady_variation=running.steady_variation + jnp.where(is_steady, change, 0.0),

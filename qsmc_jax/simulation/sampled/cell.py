@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.implementation.swing import Swing
+from qsmc_jax.implementation.swing import Swing, held_swing
 from qsmc_jax.loop import Terms
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.numerics.hermite import Cubic, cubics
@@ -159,4 +159,4 @@ def sampled_signals(problem: Problem, now: LoopPoint, u: RealScalarLike) -> Sign
 def no_cell(start: LoopPoint) -> Cell:
     """A cell of no length, without input."""
     zero = jnp.zeros(())
-    return Cell(start, start, zero, zero, zero, Swing(zero, zero, zero))
+    return Cell(start, start, zero, zero, zero, held_swing(zero, zero))

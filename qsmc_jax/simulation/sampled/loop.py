@@ -18,7 +18,6 @@ from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.enclosures.unseen import Nodes, Step
 from qsmc_jax.implementation.implementation import Implementation
-from qsmc_jax.implementation.swing import held_swing
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.hermite import cubics
 from qsmc_jax.numerics.lockstep import any_lane
@@ -33,6 +32,7 @@ from qsmc_jax.simulation.sampled.accumulate import (
 )
 from qsmc_jax.simulation.sampled.cell import Cell, LoopPoint, loop_point
 from qsmc_jax.simulation.sampled.computer import Computer, place_in, sample
+from qsmc_jax.simulation.sampled.drive import Drive
 from qsmc_jax.simulation.settings import INSTANT, SolverSettings, absolute_tolerance
 from qsmc_jax.solvers.explicit import explicit_stages, weighted
 
@@ -210,6 +210,7 @@ def _next_event(
     event = jnp.minimum(event, jnp.min(jnp.where(constants.breaks > t, constants.breaks, jnp.inf)))
     if state.saved is not None:
         event = jnp.minimum(event, _save_time(state.saved))
+    event = ft.reduce(jnp.minimum, _drive(constants, state).kinks(), event)
     left = event - t
     parts = jnp.ceil(left / state.step)
     return event, jnp.where(parts <= 1.0, event, t + left / jnp.maximum(parts, 1.0))
@@ -229,6 +230,10 @@ def _event_times(constants: LoopConstants, state: LoopState) -> tuple[RealScalar
     return captured, barrier(arrived) if implementation.is_late else jnp.inf
 
 
+def _drive(constants: LoopConstants, state: LoopState) -> Drive:
+    return Drive(constants.implementation.actuator, state.actuator, state.computer.held, state.now.t)
+
+
 def _save_time(saved: Saved) -> RealScalarLike:
     """The next of the times asked for."""
     last = saved.ts.shape[0] - 1
@@ -238,31 +243,22 @@ def _save_time(saved: Saved) -> RealScalarLike:
 def _cross(constants: LoopConstants, state: LoopState, end: RealScalarLike) -> tuple[Cell, Scalars, RealScalarLike]:
     """The cell from now to `end`, the actuator there, and the estimated error in units of what is allowed."""
     loop, barrier, now = constants.problem.loop, constants.problem.barrier, state.now
-
-    def actuator_at(t: RealScalarLike) -> Scalars:
-        actuator = constants.implementation.actuator
-        return () if actuator is None else actuator.move(state.actuator, state.computer.held, t - now.t)
-
-    def input_at(t: RealScalarLike) -> RealScalarLike:
-        return state.computer.held if constants.implementation.actuator is None else actuator_at(t)[0]
+    drive, h = _drive(constants, state), end - now.t
 
     def field(t: RealScalarLike, x: Scalars) -> Scalars:
-        *chain, last = loop.rates(loop.terms(t, x), x, input_at(t))
+        *chain, last = loop.rates(loop.terms(t, x), x, drive.input_at(t))
         return (*chain, barrier(last))
 
-    u0 = input_at(now.t)  # which an actuator without a lag has changed since the last cell
+    u0, u1 = drive.input_at(now.t), drive.input_at(end)  # u0: an actuator without a lag has changed since the last cell
     first = loop.rates(now.terms, now.x, u0)
     x1, stages = explicit_stages(_TABLEAU, field, now.t, end, now.x, first)
     right = loop_point(constants.problem, end, barrier(x1))
-    stages.append(loop.rates(right.terms, right.x, input_at(end)))
-    h = end - now.t
+    stages.append(loop.rates(right.terms, right.x, u1))
     errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
-    speed = jnp.abs(now.sigma_rate(u0)) + jnp.abs(right.sigma_rate(input_at(end)))
+    speed = jnp.abs(now.sigma_rate(u0)) + jnp.abs(right.sigma_rate(u1))
     width, moved = constants.rtol * right.rho, INSTANT * end * speed
     allowed = constants.rtol * jnp.abs(right.sigma) + absolute_tolerance(width, state.cells.peak_ratio, moved)
-    actuator, held = constants.implementation.actuator, state.computer.held
-    swing = held_swing(held, h) if actuator is None else actuator.swing(state.actuator, held, h)
-    cell = Cell(now, right, u0, input_at(now.t + 0.5 * h), input_at(end), swing)
+    cell = Cell(now, right, u0, drive.input_at(now.t + 0.5 * h), u1, drive.swing(h))
     largest = ft.reduce(jnp.maximum, map(jnp.abs, (cell.u0, cell.middle, cell.u1)))
     path = _path(now, h, x1, first, stages[-1])
     hides = hidden_in_cell(
@@ -271,7 +267,7 @@ def _cross(constants: LoopConstants, state: LoopState, end: RealScalarLike) -> t
     error = ft.reduce(
         jnp.maximum, (errors / allowed, hides**2, _misread(constants, cell) / (_READING * constants.rtol))
     )
-    return cell, actuator_at(end), jnp.where(jnp.isfinite(error), error, jnp.inf)
+    return cell, drive.state_at(end), jnp.where(jnp.isfinite(error), error, jnp.inf)
 
 
 def _misread(constants: LoopConstants, cell: Cell) -> RealScalarLike:
@@ -326,8 +322,7 @@ def _handle(
 
 def _save(constants: LoopConstants, state: LoopState, saved: Saved, is_time: BoolScalarLike) -> LoopState:
     """The signals at the time asked for, after whatever happened at it."""
-    actuator, held = constants.implementation.actuator, state.computer.held
-    u = held if actuator is None else actuator.move(state.actuator, held, 0.0)[0]
+    u = _drive(constants, state).input_at(state.now.t)
     place = jnp.where(is_time, saved.count, saved.u.shape[0])  # out of bounds: dropped
     x = tuple(old.at[place].set(xi, mode="drop") for old, xi in zip(saved.x, state.now.x, strict=True))
     count = saved.count + jnp.where(is_time, 1, 0)

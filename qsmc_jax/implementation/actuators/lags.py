@@ -1,9 +1,5 @@
-"""Actuators: what stands between the command that is held and the input that the plant gets.
+"""Linear lags, with unit gain at rest."""
 
-Between two changes of the command their motion is known in closed form, so that none is too fast to be followed.
-"""
-
-import abc
 import functools as ft
 
 import jax
@@ -11,53 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative, require_positive
-from qsmc_jax.base.module import AbstractModule, float_field
+from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.implementation.actuators.actuator import THERE, AbstractActuator, AbstractMonotoneActuator
 from qsmc_jax.implementation.swing import Swing
 
 
-class AbstractActuator(AbstractModule):
-    """A linear lag between command and input, with unit gain at rest. It is at rest, with input 0, at time 0.
-
-    Examples:
-        >>> import qsmc_jax as qj
-        >>> actuator = qj.actuators.FirstOrderLag(time_constant=0.0)
-        >>> isinstance(actuator, qj.actuators.AbstractActuator)
-        True
-        >>> [float(u) for u in actuator.move(actuator.rest(), command=2.0, dt=0.1)]
-        [2.0]
-    """
-
-    @abc.abstractmethod
-    def rest(self) -> Scalars:
-        """Its state at rest; the first component is the input."""
-
-    @abc.abstractmethod
-    def move(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Scalars:
-        """Its state a time `dt` [s] later, under a constant command.
-
-        Args:
-            state: What `rest` or an earlier `move` gave.
-            command: The command that is held.
-            dt: Time [s] that passes, not negative.
-        """
-
-    @abc.abstractmethod
-    def swing(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Swing:
-        """What the input does meanwhile, exactly: however fast it is, nothing of it is read off a grid.
-
-        Args:
-            state: What `rest` or an earlier `move` gave.
-            command: The command that is held.
-            dt: Time [s] that passes, not negative.
-        """
-
-    @abc.abstractmethod
-    def is_valid(self) -> BoolScalarLike:
-        """Whether its numbers are in range: what the constructor checks, for traced ones."""
-
-
-class FirstOrderLag(AbstractActuator):
+class FirstOrderLag(AbstractMonotoneActuator):
     r"""First-order lag, $T_a \dot u_a + u_a = u$.
 
     Attributes:
@@ -86,16 +42,41 @@ class FirstOrderLag(AbstractActuator):
         return (command + (state[0] - command) * jnp.where(has_lag, decay, 0.0),)
 
     def swing(self, state: Scalars, command: RealScalarLike, dt: RealScalarLike) -> Swing:
-        has_lag = self.time_constant > 0.0
-        lost = -jnp.expm1(-dt / jnp.where(has_lag, self.time_constant, 1.0))
-        y = jnp.where(has_lag, state[0] - command, 0.0)
-        end = command + y * (1.0 - lost)
-        # notation: u = command + y exp(-t / T), so that the integral of u - command is T (y - y(end))
-        energy = command**2 * dt + self.time_constant * y * lost * (2.0 * command + 0.5 * y * (2.0 - lost))
-        return Swing(jnp.abs(y * lost), jnp.maximum(jnp.abs(command + y), jnp.abs(end)), energy)
+        y = jnp.where(self.time_constant > 0.0, state[0] - command, 0.0)
+        return relaxing_swing(self.time_constant, y, command, dt)
+
+    def kinks(self, state: Scalars, command: RealScalarLike) -> Scalars:
+        return ()
+
+    def passing_time(self, state: Scalars, command: RealScalarLike, level: RealScalarLike) -> RealScalarLike:
+        way, moved = command - state[0], level - state[0]
+        near = THERE * (jnp.abs(state[0]) + jnp.abs(command))
+        passes = (way * moved > 0.0) & (jnp.abs(moved) < jnp.abs(way)) & (jnp.abs(moved) > near)
+        part = jnp.where(passes, moved, 0.0) / jnp.where(passes, way, 1.0)
+        return jnp.where(passes, -self.time_constant * jnp.log1p(-part), jnp.inf)
 
     def is_valid(self) -> BoolScalarLike:
         return self.time_constant >= 0.0
+
+
+def relaxing_swing(
+    time_constant: RealScalarLike, y: RealScalarLike, command: RealScalarLike, dt: RealScalarLike
+) -> Swing:
+    r"""That of an input $u = c + y e^{-t / T}$, with the command c; T may be 0 if y is.
+
+    Args:
+        time_constant: T [s].
+        y: Distance from the command at the beginning.
+        command: The command that is held.
+        dt: Time [s] that passes.
+    """
+    has_lag = time_constant > 0.0
+    lost = -jnp.expm1(-dt / jnp.where(has_lag, time_constant, 1.0))
+    ends = command + y, command + y * (1.0 - lost)
+    # The integral of u - c is T (y - y(end)).
+    area = command * dt + time_constant * y * lost
+    energy = command**2 * dt + time_constant * y * lost * (2.0 * command + 0.5 * y * (2.0 - lost))
+    return Swing(jnp.abs(y * lost), jnp.minimum(*ends), jnp.maximum(*ends), area, energy)
 
 
 class SecondOrderLag(AbstractActuator):
@@ -147,12 +128,17 @@ class SecondOrderLag(AbstractActuator):
         y_last = y1 * (-shrinks) ** turns_left
         variation = jnp.abs(y1 - y) + jnp.abs(y1) * full + jnp.abs(y_end - y_last)
         y2 = jnp.where(turns_left > 0.0, -shrinks * y1, y1)
-        peak = ft.reduce(jnp.maximum, (jnp.abs(command + each) for each in (y, y1, y2, y_end)))
+        low, high = (command + ft.reduce(extreme, (y, y1, y2, y_end)) for extreme in (jnp.minimum, jnp.maximum))
         # From y'' + 2 zeta y' + y = 0: the integrals over the phase of y and of its square, by what changes.
         once = (v - v_end) + 2.0 * zeta * (y - y_end)
         squared = y * y - y_end * y_end
         twice = (squared + v * v - v_end * v_end) / (4.0 * zeta) + zeta * squared + (y * v - y_end * v_end)
-        return Swing(variation, peak, command**2 * dt + (2.0 * command * once + twice) / self.frequency)
+        area = command * dt + once / self.frequency
+        energy = command**2 * dt + (2.0 * command * once + twice) / self.frequency
+        return Swing(variation, low, high, area, energy)
+
+    def kinks(self, state: Scalars, command: RealScalarLike) -> Scalars:
+        return ()
 
     def is_valid(self) -> BoolScalarLike:
         return (self.frequency > 0.0) & (self.damping > 0.0)
