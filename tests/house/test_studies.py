@@ -18,6 +18,7 @@ LONG = {
     "duffing": qj.Verdict.HELD,
     "cooling": qj.Verdict.HELD,
     "flexible_joint": qj.Verdict.HELD,
+    "ship": qj.Verdict.HELD,
     "example1_implemented": qj.Verdict.HELD,
     "paper_example2": qj.Verdict.HELD,
     "example1_uncertain": qj.Verdict.HELD,
