@@ -251,14 +251,18 @@ def test_no_cell_is_longer_than_the_tolerance_allows():
 
 
 @pytest.mark.slow
-def test_forward_mode_gives_the_central_difference():
+@pytest.mark.parametrize("limited", [False, True], ids=["lag", "limited rate and dead zone"])
+def test_forward_mode_gives_the_central_difference(limited):
     """Of metrics of one run by rho_inf, through samples, an actuator and the reaching time, at which a cell ends."""
     names = ("peak_ratio", "energy_u", "rms_error", "reach_time")
     ideal = qj.paper.example1().control
 
     def metrics(rho_inf):
         control = qj.QuasiSlidingControl(ideal.surface, qj.Funnel(ideal.funnel.rho0, ideal.funnel.mu, rho_inf))
-        loop = loop1(control, sample_period=5e-3, actuator=qj.actuators.FirstOrderLag(2e-3))
+        # Times of kinks move with the number, too.
+        rudder = qj.actuators.DeadZone(2.0 * rho_inf, qj.actuators.RateLimited(0.1 * rho_inf, 400.0 * rho_inf))
+        actuator = rudder if limited else qj.actuators.FirstOrderLag(2e-3)
+        loop = loop1(control, sample_period=5e-3, actuator=actuator)
         run = qj.simulate(loop, [0.1, 0.1], HORIZON, bandwidth=BANDWIDTH, settings=TIGHT.replace(adjoint="forward"))
         return jnp.stack([run.metrics.named()[name] for name in names])
 

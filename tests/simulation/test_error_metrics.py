@@ -28,7 +28,7 @@ RTOL_SAMPLED = {**RTOL, "margin": 1e-4}
 SETTINGS = {"default": (1e-6, 1.0), "tight": (float(qj.tight().rtol), 0.1)}
 # Of a sampled loop everything is as good, relative to its size, or that of the metric of which it is a difference.
 RTOL_BESIDES = 1e-4
-SIZES = {"peak_excess": "peak_ratio", "excess_variation_u": "total_variation_u"}
+SIZES = {"peak_excess": "peak_ratio", "excess_variation_u": "total_variation_u", "max_u": "peak_u", "min_u": "peak_u"}
 # How long a step is at most here, hence how late `settle_time` may be.
 LATE = {"default": 0.1, "tight": 0.05}
 
