@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from qsmc_jax.control import controllers as controllers
     from qsmc_jax.control import funnels as funnels
     from qsmc_jax.control import thresholds as thresholds
+    from qsmc_jax.control.control import AbstractControl as AbstractControl
     from qsmc_jax.control.control import Sample as Sample
     from qsmc_jax.control.funnel import AbstractFunnel as AbstractFunnel
     from qsmc_jax.control.funnel import Funnel as Funnel
@@ -84,6 +85,7 @@ _HOMES = {
     "AbstractFunnel": "qsmc_jax.control.funnel",
     "Funnel": "qsmc_jax.control.funnel",
     "QuasiSlidingControl": "qsmc_jax.control.law",
+    "AbstractControl": "qsmc_jax.control.control",
     "Sample": "qsmc_jax.control.control",
     "SlidingSurface": "qsmc_jax.control.surface",
     "GainFault": "qsmc_jax.implementation.implementation",

@@ -1,6 +1,6 @@
 """The closed loop as pure functions: plant, reference, disturbance and control, at one instant."""
 
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.module import AbstractModule, require_fields
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
-from qsmc_jax.control.control import AbstractControl
+from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.model.disturbances import AbstractDisturbance
@@ -17,6 +17,7 @@ from qsmc_jax.model.kinks import as_times
 from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.model.state_space import AbstractStateSpace
+from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
 
 
@@ -53,7 +54,8 @@ class Terms(NamedTuple):
 class ClosedLoop(AbstractModule):
     r"""A plant under a controller: $\dot x_n = f + g u + d$ with $u$ from `control`, or a plant in own coordinates.
 
-    Without an `implementation` it is the loop of the paper, in continuous time, for the quasi-sliding-mode law only.
+    Without an `implementation` it is the loop of the paper, in continuous time, under its law or any other that is
+    smooth and has no memory.
 
     Attributes:
         plant: The plant, of order n: a chain of integrators, or in its own coordinates (`AbstractStateSpace`, for the
@@ -65,7 +67,7 @@ class ClosedLoop(AbstractModule):
 
     Raises:
         InputError: The surface does not have n - 1 coefficients, or the reference has not n derivatives, or a law that
-            the paper does not treat has no implementation. Whether an implementation fits the order and the
+            switches or has a memory has no implementation. Whether an implementation fits the order and the
             horizon is checked where there is one: by `Scenario` and `simulate`.
 
     Examples:
@@ -99,9 +101,9 @@ class ClosedLoop(AbstractModule):
         )
         _require_derivatives((self.reference, order))
         require(
-            self.implementation is not None or isinstance(self.control, QuasiSlidingControl),
-            f"Argument `implementation` must be given for a `{type(self.control).__name__}`: without one, only the "
-            "quasi-sliding-mode law can be solved. `Implementation(sample_period=1e-3)` will do.",
+            self.implementation is not None or (self.control.is_smooth and len(self.control.first_memory()) == 0),
+            f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches or "
+            "has a memory can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
         )
         require(
             self.implementation is None or isinstance(self.plant, AbstractPlant),
@@ -186,14 +188,58 @@ class ClosedLoop(AbstractModule):
         return (self.sliding_variable(t, x) - self.control.funnel.centre(t)) / self.control.funnel(t)
 
     def input(self, t: RealScalarLike, x: State) -> RealScalarLike:
-        """The input u of the ideal loop, paper eq. (4); NaN outside the funnel, where the law is not defined.
+        """The input u of the ideal loop, paper eq. (4); NaN outside the funnel, where that law is not defined.
 
         Args:
             t: Time [s].
             x: State, n scalars.
         """
-        law: Any = self.control  # a `QuasiSlidingControl`: the constructor sees to it
-        return law(self.sliding_variable(t, x) - law.funnel.centre(t), law.funnel(t))
+        law, errors = self.control, self.errors(t, x)
+        deviation = law.surface(errors) - law.funnel.centre(t)
+        if isinstance(law, QuasiSlidingControl):
+            return law(deviation, law.funnel(t))
+        return self.command(t, errors, self.desired(t), deviation)
+
+    def command(self, t: RealScalarLike, errors: State, desired: State, deviation: RealScalarLike) -> RealScalarLike:
+        """What a law without memory makes of exact errors.
+
+        Args:
+            t: Time [s].
+            errors: Errors, n scalars.
+            desired: Desired output and its first n derivatives.
+            deviation: The sliding variable, from the funnel's centre.
+        """
+        funnel, centre = self.control.funnel, self.control.funnel.centre(t)
+        sample = Sample(t, 0.0, deviation + centre, funnel(t), desired, "wrap", centre, errors)
+        return self.control.command(sample, ())[0]
+
+    def input_at(self, t: RealScalarLike, errors: State, desired: State, s: RealScalarLike) -> RealScalarLike:
+        """The input u of the ideal loop where the funnel coordinate is known too.
+
+        Args:
+            t: Time [s].
+            errors: Errors, n scalars.
+            desired: Desired output and its first n derivatives.
+            s: Funnel coordinate [-].
+        """
+        if isinstance(self.control, QuasiSlidingControl):
+            return self.control.at(s)
+        return self.command(t, errors, desired, self.control.funnel(t) * ratio(s))
+
+    def steepness(self, t: RealScalarLike, errors: State, desired: State, deviation: RealScalarLike) -> RealScalarLike:
+        """The size of the input's derivative in the sliding variable, of a law without memory.
+
+        Args:
+            t: Time [s].
+            errors: Errors, n scalars.
+            desired: Desired output and its first n derivatives.
+            deviation: The sliding variable, from the funnel's centre.
+        """
+
+        def along(step: RealScalarLike) -> RealScalarLike:
+            return jnp.asarray(self.command(t, (*errors[:-1], errors[-1] + step), desired, deviation + step))
+
+        return jnp.abs(jax.jvp(along, (jnp.zeros(()),), (jnp.ones(()),))[1])
 
     def balance(self, t: RealScalarLike, x: State, errors: State, desired: State) -> Balance:
         """The terms of the sliding variable's derivative; callers have `self.errors(t, x)` and `self.desired(t)`.

@@ -25,7 +25,7 @@ class Sample(NamedTuple):
 
     Attributes:
         t: Time [s].
-        period: Nominal time between samples [s].
+        period: Nominal time between samples [s]; 0 in the ideal loop, where errors are exact.
         sigma: The sliding variable as measured.
         rho: Half-width of the funnel.
         desired: Desired output and its first n derivatives, n + 1 scalars.
@@ -68,15 +68,42 @@ class Sample(NamedTuple):
 class AbstractControl(AbstractModule):
     """A controller: it knows the errors, the reference, and of the plant the order and the sign of the gain.
 
+    A law of your own is a class with the fields below, `first_memory` and `command`. One that is smooth and has no
+    memory is solved in continuous time too, where a `Sample` has exact errors and period 0; any other needs an
+    `Implementation`. What it may do within a step is enclosed like any function that you bring.
+
     Attributes:
         surface: Sliding surface.
         funnel: AbstractFunnel: what the loop is judged by, whether or not the law makes use of it.
         gain_sign: The sign of the control gain g, 1 or -1.
         positive: Names of the law's own numbers that must be positive.
-        is_smooth: Whether the law has a derivative; one that switches by a sign has none that tuning could use.
+        is_smooth: Whether the law has a derivative; one that switches by a sign has none that tuning could use, and
+            no ideal loop.
+
+    Examples:
+        A linear law in the output, with the reference fed forward:
+
+        >>> from typing import ClassVar
+        >>> import qsmc_jax as qj
+        >>> class Linear(qj.AbstractControl):
+        ...     surface: qj.SlidingSurface
+        ...     funnel: qj.AbstractFunnel
+        ...     gain_sign: float = 1.0
+        ...     positive: ClassVar[tuple[str, ...]] = ()
+        ...     def first_memory(self):
+        ...         return ()
+        ...     def command(self, sample, memory):
+        ...         return sample.desired[1] - 4.0 * sample.errors[0], ()
+        >>> law = Linear(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.5))
+        >>> rest, calm = qj.references.Constant(0.0), qj.disturbances.Zero()
+        >>> loop = qj.ClosedLoop(qj.plants.InvertedPendulum(), rest, calm, law)
+        >>> round(float(loop.input(0.0, (0.5, 0.0))), 6)
+        -2.0
     """
 
-    hint: ClassVar[str] = "Use `qj.QuasiSlidingControl(surface, funnel)` or one of `qj.controllers`."
+    hint: ClassVar[str] = (
+        "Use `qj.QuasiSlidingControl(surface, funnel)`, one of `qj.controllers`, or an `AbstractControl` of your own."
+    )
 
     surface: eqx.AbstractVar[SlidingSurface]
     funnel: eqx.AbstractVar[AbstractFunnel]

@@ -6,23 +6,28 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from qsmc_jax.base.checks import require_finite
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.surface import SlidingSurface
-from qsmc_jax.numerics.gudermann import tan_half_pi
+from qsmc_jax.numerics.gudermann import sinh_cosh, tan_half_pi
 
 
 class QuasiSlidingControl(AbstractControl):
-    r"""The law $u = -\operatorname{sgn}(g)\tan\frac{\pi\sigma}{2\rho}$.
+    r"""The law $u = u_0 - \operatorname{sgn}(g) K \tan\frac{\pi\sigma}{2\rho}$; the paper's has $K = 1$, $u_0 = 0$.
 
-    Of the plant it knows the order and the sign of the gain.
+    Of the plant it knows the order and the sign of the gain. Theorem 1 holds with any K and $u_0$: the loop is the
+    paper's with the gain $K g$ and the disturbance $d + g u_0$. K brings the input's unit and size, $u_0$ what it is at
+    rest.
 
     Attributes:
         surface: Sliding surface, $\sigma$ as a function of the errors.
-        funnel: AbstractFunnel $\rho(t)$.
+        funnel: Funnel $\rho(t)$; about a centre m the law acts on $\sigma - m$.
         gain_sign: The sign of the control gain g, 1 or -1.
+        gain: K, in units of the input, positive.
+        offset: $u_0$, in units of the input.
 
     Examples:
         Half-way to the edge the input is 1:
@@ -36,22 +41,38 @@ class QuasiSlidingControl(AbstractControl):
     point the wrong way, are never used: outside, u is NaN.
     """
 
-    instead: ClassVar[str] = "A loop under a law of your own needs an `Implementation`: the ideal loop is this law's."
+    instead: ClassVar[str] = "A law of your own is an `AbstractControl`: give it `command(sample, memory)`."
 
     surface: SlidingSurface
     funnel: AbstractFunnel
     gain_sign: Float[Array, ""] = float_field(default=1.0)
+    gain: Float[Array, ""] = float_field(default=1.0)
+    offset: Float[Array, ""] = float_field(default=0.0)
 
-    positive: ClassVar[tuple[str, ...]] = ()
+    positive: ClassVar[tuple[str, ...]] = ("gain",)
+
+    def __check_init__(self):
+        require_finite("offset", self.offset)
 
     def __call__(self, sigma: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
         r"""The control at `sigma`, from the funnel's centre, and half-width `rho`; NaN unless $|\sigma| < \rho$."""
-        return -self.gain_sign * tan_half_pi(sigma, rho)
+        return self._input(tan_half_pi(sigma, rho))
+
+    def at(self, s: RealScalarLike) -> RealScalarLike:
+        r"""The control at the funnel coordinate `s`, where the tangent is $\sinh s$.
+
+        Args:
+            s: Funnel coordinate [-].
+        """
+        return self._input(sinh_cosh(s)[0])
 
     def first_memory(self) -> Scalars:
         return ()
 
     def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
         if sample.beyond == "wrap":
-            return -self.gain_sign * jnp.tan(0.5 * math.pi * sample.inside() / sample.rho), ()
+            return self._input(jnp.tan(0.5 * math.pi * sample.inside() / sample.rho)), ()
         return self(sample.inside(), sample.rho), ()
+
+    def _input(self, tangent: RealScalarLike) -> Float[Array, ""]:
+        return self.offset - self.gain_sign * self.gain * tangent

@@ -81,7 +81,7 @@ class OperatingRange:
         flattest: The same where it is smallest in the steady phase, t >= t_r.
         residual: Largest |w| from t = 0.
         gains: Least and largest |g| from t = 0.
-        demand: Largest (|w| + |rho'|) / |g| from t = 0: what the comparison bound asks of the input.
+        demand: What the comparison bound asks of the input, (|w| + |rho'|) / |g| at its largest from t = 0.
         ratio0: |sigma| / rho at the start.
         peak_u: Peak of |u|.
         period: Sample period of the implementation.
@@ -174,7 +174,7 @@ def _operating_range(study: Study) -> OperatingRange | None:
     nominal = study.nominal
     if not isinstance(nominal.loop.control, QuasiSlidingControl):
         return None
-    loop = dataclasses.replace(nominal.loop, implementation=None)
+    loop, law = dataclasses.replace(nominal.loop, implementation=None), nominal.loop.control
     ts = np.linspace(0.0, float(nominal.t1), _TIMES)
     run = simulate(loop, nominal.x0, nominal.t1, bandwidth=study.bandwidth, ts=ts)
     steady = ts >= run.reaching_time
@@ -182,8 +182,9 @@ def _operating_range(study: Study) -> OperatingRange | None:
     if run.outcome != Outcome.COMPLETED or not steady.any() or not np.all(gain > 0.0):
         return None
     # The slope of the law where the run is, which is that at rest if w is what the input holds against.
-    points = np.stack([gain, gain * np.asarray(run.u), np.asarray(run.rho)], axis=1)
-    loop_gain = gain * (1.0 + np.asarray(run.u) ** 2) / run.rho
+    tangent = (np.asarray(run.u) - float(law.offset)) / float(law.gain)
+    points = np.stack([gain, gain * tangent, np.asarray(run.rho)], axis=1)
+    loop_gain = gain * (1.0 + tangent**2) / run.rho
     return OperatingRange(
         c=np.asarray(loop.control.surface.c),
         narrowest=float(loop.control.funnel.narrowest),
@@ -191,7 +192,7 @@ def _operating_range(study: Study) -> OperatingRange | None:
         flattest=tuple(points[steady][np.argmin(loop_gain[steady])].tolist()),
         residual=float(np.max(np.abs(residual))),
         gains=(float(np.min(gain)), float(np.max(gain))),
-        demand=float(np.max((np.abs(residual) + np.abs(rho_rate)) / gain)),
+        demand=float(law.gain * np.max((np.abs(residual) + np.abs(rho_rate)) / gain) + np.abs(law.offset)),
         ratio0=float(np.abs(loop.ratio(0.0, tuple(nominal.x0)))),
         peak_u=float(run.metrics.peak_u),
         period=_numbers(nominal.loop)["sample_period"],
@@ -206,9 +207,11 @@ def _balances(run: Trajectory) -> tuple[Float[Array, " times"], Float[Array, " t
     def at(t: Array, row: Float[Array, " n"]) -> tuple[Array, Array, Array]:
         x = tuple(row[i] for i in range(loop.states))
         balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
-        gain = loop.control.gain_sign * balance.gain
+        # As if the law's gain and offset were the plant's: what is left of the law is the plain tangent.
+        law: Any = loop.control
+        gain, residual = law.gain_sign * law.gain * balance.gain, balance.residual + balance.gain * law.offset
         (_, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
-        return jnp.asarray(balance.residual - centre_rate), jnp.asarray(gain), jnp.asarray(rho_rate)
+        return jnp.asarray(residual - centre_rate), jnp.asarray(gain), jnp.asarray(rho_rate)
 
     return jax.vmap(at)(jnp.asarray(run.ts), jnp.asarray(run.x))
 

@@ -7,8 +7,9 @@ import jax
 import numpy as np
 
 from qsmc_jax.base.types import Scalars
-from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.control.control import AbstractControl, Beyond, Sample
 from qsmc_jax.control.funnel import Funnel
+from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.actuators import AbstractActuator
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
@@ -26,6 +27,7 @@ _Part: TypeAlias = tuple[Any, Callable[..., Any], tuple[Any, ...]]
 def brought(loop: ClosedLoop) -> Contents:
     """The same, but nothing for a loop in which all is the library's."""
     is_ours = is_known(loop.plant) and is_consistent(loop.reference) and is_own(loop.disturbance)
+    is_ours &= isinstance(loop.control, QuasiSlidingControl)
     is_plain = loop.implementation is None and not any(map(callable, jax.tree.leaves(loop)))
     return () if is_ours and is_plain else functions_of(loop)
 
@@ -50,26 +52,35 @@ def functions_of(loop: ClosedLoop) -> Contents:
         name = f"funnel `{type(loop.control.funnel).__name__}`"
         parts[name] = loop.control.funnel, lambda f, t: (f.width_and_rate(t), f.centre_and_rate(t)), (number,)
     if loop.implementation is not None:
-        parts |= _implemented(loop, loop.implementation)
+        parts |= _law(loop, loop.implementation.beyond) | _implemented(loop.implementation)
+    elif not isinstance(loop.control, QuasiSlidingControl):
+        parts |= _law(loop, "wrap")
     return tuple((name, digest(trace(name, "its arguments", *part[:2], *part[2])[0])) for name, part in parts.items())
 
 
-def _implemented(loop: ClosedLoop, made: Implementation) -> dict[str, _Part]:
-    """The same of what is between the plant and its controller, and of the controller, whose law may be anybody's."""
-    number, control, actuator = jax.ShapeDtypeStruct((), np.float64), loop.control, made.actuator
+def _law(loop: ClosedLoop, beyond: Beyond) -> dict[str, _Part]:
+    """The same of a controller, whose law may be anybody's."""
+    number, control = jax.ShapeDtypeStruct((), np.float64), loop.control
 
     def command(control: AbstractControl, t: Any, period: Any, sigma: Any, rho: Any, *known: Scalars) -> Any:
         desired, memory, errors = known
-        sample = Sample(t, period, sigma, rho, desired, made.beyond, control.funnel.centre(t), errors)
+        sample = Sample(t, period, sigma, rho, desired, beyond, control.funnel.centre(t), errors)
         return control.first_memory(), control.command(sample, memory)
+
+    memory = (number,) * len(control.first_memory())
+    given = number, number, number, number, (number,) * (loop.order + 1), memory, (number,) * loop.order
+    return {f"command of `{type(control).__name__}`": (control, command, given)}
+
+
+def _implemented(made: Implementation) -> dict[str, _Part]:
+    """The same of what is between the plant and its controller."""
+    number, actuator = jax.ShapeDtypeStruct((), np.float64), made.actuator
 
     def move(actuator: AbstractActuator, state: Scalars, *rest: Any) -> Any:
         motion = actuator.move(state, *rest), actuator.swing(state, *rest)
         return actuator.rest(), motion, actuator.kinks(state, rest[0])
 
-    memory = (number,) * len(control.first_memory())
-    given = number, number, number, number, (number,) * (loop.order + 1), memory, (number,) * loop.order
-    parts: dict[str, _Part] = {f"command of `{type(control).__name__}`": (control, command, given)}
+    parts: dict[str, _Part] = {}
     for i, signal in enumerate(made.unmatched):
         parts[f"unmatched disturbance {i} `{type(signal).__name__}`"] = (signal, lambda d, t: d(t), (number,))
     if made.noise is not None:

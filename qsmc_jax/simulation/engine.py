@@ -165,7 +165,7 @@ def _carry(t: RealScalarLike, run: Run, problem: Problem) -> Run:
 
 def _first_step(problem: Problem, x0: State, run0: Run, horizon: RealScalarLike) -> RealScalarLike:
     r"""A part of the time that the loop needs to answer, $2 \rho / (\pi |g| \cosh^2 s)$, and of the horizon."""
-    answer = jnp.abs(problem.loop.gain(0.0, x0)) * (1.0 + run0.running.u**2) / problem.loop.control.funnel(0.0)
+    answer = jnp.abs(problem.loop.gain(0.0, x0)) * (1.0 + run0.running.input.sinh**2) / problem.loop.control.funnel(0.0)
     return jax.lax.stop_gradient(_FIRST_STEP / (1.0 / horizon + answer))
 
 

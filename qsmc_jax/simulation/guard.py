@@ -4,8 +4,8 @@ A method looks at the loop at a few instants of a step. Between these the distur
 gain may do what none of them shows: a push, a jump, a gain that reverses for a while. How far they can go there is
 bounded (`model/unseen.py`), and with it what that does to the funnel coordinate: by $\dot s = \cosh s\,[k (w + g u) -
 \dots]$ with $k = \pi / 2\rho$ an amount $a$ of $w$ moves s by no more than $h k a \cosh s$ in a step of length h, and,
-as long as the gain pushes back, by no more than $a / (g \cosh s)$: u = sinh s balances it then. An amount of the gain
-counts |u| times as much.
+as long as the gain pushes back, by no more than $a / (g \cosh s)$: u = sinh s balances it then (K sinh s, with the
+gain K of the law; of a law of the user's nobody knows). An amount of the gain counts |u| times as much.
 """
 
 import functools as ft
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.funnel import AbstractFunnel, Funnel
+from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.enclosures.unseen import Step, Unseen, unseen
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
@@ -47,6 +48,7 @@ def hidden(
     problem: Problem,
     step: Step,
     ys: tuple[Scalars, Scalars, Scalars],
+    sinhs: tuple[RealScalarLike, RealScalarLike],
     us: tuple[RealScalarLike, RealScalarLike],
     rtol: RealScalarLike,
     least: RealScalarLike,
@@ -57,27 +59,32 @@ def hidden(
         problem: The loop.
         step: The step.
         ys: The coordinates at its start, middle and end.
-        us: The input's size at its start and end.
+        sinhs: sinh |s| there, s the funnel coordinate.
+        us: The input's size there.
         rtol: The relative tolerance.
         least: Size below which a state counts as this large, as for the tolerances of the solve.
     """
-    problem, (t0, t1), ys, us = pytrees.stop_gradient((problem, (step.t0, step.t1), ys, us))
+    problem, (t0, t1), ys, sinhs, us = pytrees.stop_gradient((problem, (step.t0, step.t1), ys, sinhs, us))
     step, loop = Step(t0, t1, step.nodes), problem.loop
     at = _path(problem, step, ys)
     pushes = _pushes(loop, step, at)
     amount_of_gain, lowest = _gain(loop, step, at)
-    jump, in_states = _discontinuity(loop, step), _in_states(loop, step, at, jnp.maximum(*us), least)
+    largest = jnp.maximum(*us)
+    jump, in_states = _discontinuity(loop, step), _in_states(loop, step, at, largest, least)
+    of_law = _of_law(loop, step, at)
     k = 0.5 * jnp.pi / _narrowest(loop.control.funnel, step)
     # By an exponent of 1 at most may a small s grow in a step in which the gain may push outwards.
     growth = step.length * k * jnp.maximum(-lowest, 0.0)
-    if all(map(is_nothing, (pushes.amount, amount_of_gain, jump, in_states))):
+    if all(map(is_nothing, (pushes.amount, amount_of_gain, jump, in_states, of_law))):
         return growth
-    calmest, largest = jnp.minimum(*us), jnp.maximum(*us)
-    cosh, least_cosh = jnp.sqrt(1.0 + largest**2), jnp.sqrt(1.0 + calmest**2)
-    amount = pushes.amount + amount_of_gain * largest
-    is_held = lowest > 0.0
-    balanced = jnp.where(is_held, amount / (jnp.where(is_held, lowest, 1.0) * least_cosh), jnp.inf)
-    moves = jnp.minimum(step.length * k * cosh * amount, balanced) + k * cosh * jump
+    cosh, least_cosh = (jnp.sqrt(1.0 + bound(*sinhs) ** 2) for bound in (jnp.maximum, jnp.minimum))
+    amount = pushes.amount + amount_of_gain * largest + of_law
+    moves = step.length * k * cosh * amount
+    if isinstance(loop.control, QuasiSlidingControl):
+        is_held = lowest > 0.0
+        stiffness = loop.control.gain * jnp.where(is_held, lowest, 1.0) * least_cosh
+        moves = jnp.minimum(moves, jnp.where(is_held, amount / stiffness, jnp.inf))
+    moves = moves + k * cosh * jump
     moves = moves if is_nothing(in_states) else jnp.maximum(moves, in_states)
     moves = jnp.where(jnp.isnan(moves), jnp.inf, moves)
     return jnp.maximum(moves / _worth(rtol), growth)
@@ -187,6 +194,13 @@ def _gain(loop: ClosedLoop, step: Step, at: Path) -> tuple[RealScalarLike, RealS
         return 0.0, jnp.minimum(sign * low, sign * high)
     found = unseen(lambda t: sign * loop.gain(t, at(t)), step)
     return found.amount, found.low
+
+
+def _of_law(loop: ClosedLoop, step: Step, at: Path) -> RealScalarLike:
+    """What may hide in what a law of the user's contributes to the sliding variable's rate; 0.0 for the paper's."""
+    if isinstance(loop.control, QuasiSlidingControl):
+        return 0.0
+    return unseen(lambda t: loop.gain(t, at(t)) * loop.input(t, at(t)), step).amount
 
 
 def _discontinuity(loop: ClosedLoop, step: Step) -> RealScalarLike:

@@ -12,9 +12,11 @@ from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.plants import AbstractPlant
+from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.simulation.settings import Method, SolverSettings
 
 # Up to this stiffness an explicit method's steps are short for accuracy, not for stability, and half as dear. Measured
@@ -22,6 +24,8 @@ from qsmc_jax.simulation.settings import Method, SolverSettings
 EXPLICIT_UP_TO = 2000.0
 # Instants at which the rate is looked at, more of them early.
 _INSTANTS = 48
+# Between which funnel coordinates the balance of a law is looked for, and by how many halvings.
+_NEAR_EDGE, _HALVINGS = 20.0, 20
 
 # Methods that stand for one of two, by the stiffness of each run.
 BY_STIFFNESS = ("auto", "other")
@@ -66,9 +70,32 @@ def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
     is_chain = isinstance(loop.plant, AbstractPlant)
     balance = loop.balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
     (rho, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
-    gain = jnp.abs(balance.gain)
+    law, gain = loop.control, jnp.abs(balance.gain)
+    if not isinstance(law, QuasiSlidingControl):
+        load = jnp.abs(balance.residual - centre_rate) + jnp.abs(rho_rate)
+        there = _balanced(loop, t, desired, jnp.sign(balance.residual - centre_rate) * load, balance.gain)
+        return gain * loop.steepness(t, (*rest[:-1], there + law.funnel.centre(t)), desired, there)
+    gain = gain * law.gain
     input_ = (jnp.abs(balance.residual - centre_rate) + jnp.abs(rho_rate)) / jnp.where(gain > 0.0, gain, 1.0)
     return gain * (0.5 * math.pi) / rho * (1.0 + input_**2)
+
+
+def _balanced(
+    loop: ClosedLoop, t: Array, desired: Scalars, load: RealScalarLike, gain: RealScalarLike
+) -> RealScalarLike:
+    """Where in the funnel a law of the user's balances a load, from the centre; at an edge if nowhere."""
+    funnel, rest = loop.control.funnel, (0.0,) * (loop.order - 1)
+
+    def halved(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (ends[0] + ends[1])
+        deviation = funnel(t) * ratio(middle)
+        u = loop.command(t, (*rest, deviation + funnel.centre(t)), desired, deviation)
+        is_below = load + gain * u > 0.0
+        return jnp.where(is_below, middle, ends[0]), jnp.where(is_below, ends[1], middle)
+
+    ends = jnp.full((), -_NEAR_EDGE), jnp.full((), _NEAR_EDGE)
+    low, high = jax.lax.fori_loop(0, _HALVINGS, halved, ends)
+    return funnel(t) * ratio(0.5 * (low + high))
 
 
 def method_for(stiffness: float, nominal: float, asked_for: Method = "auto") -> Method:

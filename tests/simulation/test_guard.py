@@ -103,7 +103,8 @@ def hides(problem, s=0.0):
     """How far the funnel coordinate could move, by the guard, in a step in which it seems to stand still."""
     s = jnp.asarray(s)
     step = Step(jnp.asarray(0.0), jnp.asarray(LENGTH), NODES)
-    return float(hidden(problem, step, ((s,),) * 3, (jnp.abs(jnp.sinh(s)),) * 2, RTOL, 0.01)) * WORTH
+    us = (jnp.abs(jnp.sinh(s)),) * 2
+    return float(hidden(problem, step, ((s,),) * 3, us, us, RTOL, 0.01)) * WORTH
 
 
 def farthest(s0, gain, push):

@@ -20,7 +20,7 @@ class BoundaryLayer(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: AbstractFunnel that the loop is judged by.
+        funnel: Funnel that the loop is judged by.
         amplitude: K, in units of the input, positive.
         width: Half-width $\phi$ of the layer, in units of the sliding variable, positive.
         gain_sign: The sign of the control gain g, 1 or -1.

@@ -21,7 +21,7 @@ class FunnelControl(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: AbstractFunnel $\rho(t)$.
+        funnel: Funnel $\rho(t)$.
         gain: k, in units of the input, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 
@@ -44,12 +44,12 @@ class FunnelControl(AbstractControl):
 
     @classmethod
     def with_equal_slope(cls, control: QuasiSlidingControl) -> "FunnelControl":
-        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi / 2$.
+        r"""The law with the slope of `control` at $\sigma = 0$, for every $\rho$: $k = \pi K / 2$.
 
         Args:
             control: What it is to be compared with.
         """
-        return cls(control.surface, control.funnel, 0.5 * math.pi, control.gain_sign)
+        return cls(control.surface, control.funnel, 0.5 * math.pi * control.gain, control.gain_sign)
 
     def first_memory(self) -> Scalars:
         return ()

@@ -22,7 +22,7 @@ class ProportionalDerivative(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: AbstractFunnel that the loop is judged by.
+        funnel: Funnel that the loop is judged by.
         gain: k, in units of the input per unit of the sliding variable, positive.
         feedforward: $k_f$, in units of the input per unit of $x_{des}^{(n)}$: an estimate of $1 / |g|$; 0 for none.
         gain_sign: The sign of the control gain g, 1 or -1.

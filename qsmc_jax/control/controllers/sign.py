@@ -21,7 +21,7 @@ class Sign(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: AbstractFunnel that the loop is judged by.
+        funnel: Funnel that the loop is judged by.
         amplitude: K, in units of the input, positive.
         gain_sign: The sign of the control gain g, 1 or -1.
 

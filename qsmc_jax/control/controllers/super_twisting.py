@@ -24,7 +24,7 @@ class SuperTwisting(AbstractControl):
 
     Attributes:
         surface: Sliding surface.
-        funnel: AbstractFunnel that the loop is judged by.
+        funnel: Funnel that the loop is judged by.
         k1: Gain on the root, in units of the input per root of the sliding variable's, positive.
         k2: Gain on the integral, in units of the input per second, positive.
         gain_sign: The sign of the control gain g, 1 or -1.

@@ -5,7 +5,6 @@ grid, and they ride along in the integrated state, with no say in the step size,
 """
 
 import functools as ft
-import itertools as it
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -17,13 +16,10 @@ from qsmc_jax.metrics.accumulate import add_step as add_own
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.gudermann import margin, sinh_cosh
 from qsmc_jax.numerics.hermite import Cubic, Quartic, cubics, integral_of_square
+from qsmc_jax.simulation.ideal.input import RunningInput, add_input, first_input
 from qsmc_jax.simulation.ideal.step import IdealStep, Step, as_scalars, no_step
 from qsmc_jax.simulation.problem import Problem
 from qsmc_jax.simulation.spans import OutsideStep, Span
-
-# Gauss-Lobatto rule with four nodes on [0, 1], exact for polynomials of degree 5: the ends and 1/2 -+ 1/(2 sqrt 5).
-_LOBATTO_NODES = (0.5 - 0.1 * 5**0.5, 0.5 + 0.1 * 5**0.5)
-_LOBATTO_END, _LOBATTO_INNER = 1.0 / 12.0, 5.0 / 12.0
 
 
 class Peak(AbstractModule):
@@ -32,13 +28,6 @@ class Peak(AbstractModule):
     height: RealScalarLike
     time: RealScalarLike
     y: Scalars
-
-
-class Extremes(AbstractModule):
-    """The least and the largest s: the input is monotone in it."""
-
-    low: RealScalarLike
-    high: RealScalarLike
 
 
 class Drift(AbstractModule):
@@ -51,19 +40,16 @@ class Drift(AbstractModule):
 class RunningMetrics(AbstractModule):
     """The running metrics of one run, all scalars; see `Metrics` for what becomes of them.
 
-    `u` and `gain` are |u| and the gain, times its sign, at the end of the last step; `unsettled` is the last step in
-    which an error reached its bound; `drift` is None where the coordinates can't.
+    `gain` is the gain, times its sign, at the end of the last step; `unsettled` is the last step in which an error
+    reached its bound; `drift` is None where the coordinates can't.
     """
 
     errors: Scalars
-    u: RealScalarLike
+    input: RunningInput
     peak: Peak
-    extremes: Extremes
     outside: OutsideStep
     unsettled: Span
     peak_errors: Scalars
-    total_variation: RealScalarLike
-    energy: RealScalarLike
     squared_error: RealScalarLike
     gain: RealScalarLike
     least_gain: RealScalarLike
@@ -73,7 +59,7 @@ class RunningMetrics(AbstractModule):
 
 
 class _End(AbstractModule):
-    """What the metrics need at one end of a step: errors, sigma and s with their rates, u = sinh s."""
+    """What the metrics need at one end of a step: errors, sigma and s with their rates."""
 
     errors: Scalars
     error_rates: Scalars
@@ -81,7 +67,6 @@ class _End(AbstractModule):
     sigma_rate: RealScalarLike
     s: RealScalarLike
     s_rate: RealScalarLike
-    u: RealScalarLike
 
 
 def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
@@ -89,17 +74,14 @@ def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
     loop, zero = problem.loop, jnp.zeros(())
     x0 = problem.coordinates.state(loop, zero, y0)
     s0 = problem.coordinates.funnel_coordinate(loop, zero, y0)
-    gain = jnp.asarray(loop.control.gain_sign * loop.gain(zero, x0))
+    gain, errors = jnp.asarray(loop.control.gain_sign * loop.gain(zero, x0)), as_scalars(loop.errors(zero, x0))
     return RunningMetrics(
-        errors=as_scalars(loop.errors(zero, x0)),
-        u=sinh_cosh(s0)[0],
+        errors=errors,
+        input=first_input(problem, loop.input_at(zero, errors, loop.desired(zero), s0), s0),
         peak=Peak(jnp.abs(s0), zero, as_scalars(y0)),
-        extremes=Extremes(jnp.asarray(s0), jnp.asarray(s0)),
         outside=OutsideStep(zero, zero, Cubic(zero, zero, zero, zero)),
         unsettled=Span(zero, zero),
         peak_errors=(zero,) * loop.order,
-        total_variation=zero,
-        energy=zero,
         squared_error=zero,
         gain=gain,
         least_gain=gain,
@@ -112,10 +94,11 @@ def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
 def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMetrics:
     """The metrics after one more step."""
     loop, t1, h = problem.loop, step.t1, step.t1 - step.t0
-    u1 = sinh_cosh(problem.coordinates.funnel_coordinate(loop, t1, step.y1))[0]
+    s1 = problem.coordinates.funnel_coordinate(loop, t1, step.y1)
+    sinh1 = sinh_cosh(s1)[0]
     errors = problem.coordinates.errors(loop, t1, step.y1, step.derivative)
-    left = _end(problem, step.t0, running.errors, running.u, step.y0, step.dy0)
-    right = _end(problem, t1, errors, u1, step.y1, step.dy1)
+    left = _end(problem, step.t0, running.errors, running.input.sinh, step.y0, step.dy0)
+    right = _end(problem, t1, errors, sinh1, step.y1, step.dy1)
     s = Cubic(left.s, right.s, h * left.s_rate, h * right.s_rate)
     sigma = Cubic(left.sigma, right.sigma, h * left.sigma_rate, h * right.sigma_rate)
     steady_from = jnp.clip((problem.reaching_time - step.t0) / jnp.where(h > 0.0, h, 1.0), 0.0, 1.0)
@@ -125,26 +108,24 @@ def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMe
     exceeds = problem.barrier.claim(_exceeds(problem, heights, left.errors))
     middle = problem.coordinates.funnel_coordinate(loop, step.t0 + 0.5 * h, step.middle)
     path = Quartic(s, middle)
-    peak, (low, high) = _peak(problem, step, path), problem.barrier(path.extremes())
+    peak, seen = _peak(problem, step, path), IdealStep(step, problem)
+    end = loop.input_at(t1, right.errors, loop.desired(t1), s1), sinh1
     x1 = problem.coordinates.state_of(loop, t1, step.y1, right.errors)
     gain, disturbance = loop.control.gain_sign * loop.gain(t1, x1), jnp.abs(loop.disturbance(t1))
     return RunningMetrics(
         errors=as_scalars(right.errors),
-        u=u1,
+        input=add_input(problem, running.input, seen, s, path, end),
         peak=pytrees.where(peak.height > running.peak.height, peak, running.peak),
-        extremes=Extremes(jnp.minimum(running.extremes.low, low), jnp.maximum(running.extremes.high, high)),
         outside=pytrees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), running.outside),
         unsettled=pytrees.where(exceeds, Span(step.t0, t1), running.unsettled),
         peak_errors=pytrees.where(
             t1 > problem.reaching_time, tuple(map(jnp.maximum, heights, running.peak_errors)), running.peak_errors
         ),
-        total_variation=running.total_variation + _variation_of_input(left.u, s.stations()[1:-1], right.u),
-        energy=running.energy + h * _mean_square_of_input(left.u, s, right.u),
         squared_error=running.squared_error + _squared_error(h, left, right),
         gain=jnp.asarray(gain),
         least_gain=jnp.minimum(running.least_gain, gain),
         largest_disturbance=jnp.maximum(running.largest_disturbance, disturbance),
-        own=add_own(problem.measures, running.own, IdealStep(step, problem)),
+        own=add_own(problem.measures, running.own, seen),
         drift=_drift(problem, running.drift, step, peak),
     )
 
@@ -169,16 +150,16 @@ def _peak(problem: Problem, step: Step, s: Quartic) -> Peak:
     return Peak(height, step.t0 + theta * h, y)
 
 
-def _end(problem: Problem, t: RealScalarLike, errors: Scalars, u: RealScalarLike, y: Scalars, dy: Scalars) -> _End:
+def _end(problem: Problem, t: RealScalarLike, errors: Scalars, sinh: RealScalarLike, y: Scalars, dy: Scalars) -> _End:
     """One end of a step. The rate of sigma, and so those of the errors, follow from that of s, at jumps too."""
     surface = problem.loop.control.surface
     rho, rho_rate = problem.loop.control.funnel.width_and_rate(t)
     s, s_rate = problem.coordinates.funnel_motion(problem.loop, t, y, dy)
-    sigma, cosh = surface(errors), jnp.sqrt(1.0 + u * u)
+    sigma, cosh = surface(errors), jnp.sqrt(1.0 + sinh * sinh)
     centre, centre_rate = problem.loop.control.funnel.centre_and_rate(t)
     sigma_rate = (2.0 / jnp.pi * rho * s_rate) / cosh + (sigma - centre) * rho_rate / rho + centre_rate
     rates = problem.coordinates.error_rates(problem.loop, t, y, dy, errors, sigma_rate)
-    return _End(errors, rates, sigma, sigma_rate, s, s_rate, u)
+    return _End(errors, rates, sigma, sigma_rate, s, s_rate)
 
 
 def _squared_error(h: RealScalarLike, left: _End, right: _End) -> RealScalarLike:
@@ -193,18 +174,3 @@ def _exceeds(problem: Problem, heights: Scalars, left: Scalars) -> Bool[Array, "
         for height, start, bound in zip(heights, left, problem.error_bounds, strict=False)
     ]
     return jnp.asarray(ft.reduce(jnp.logical_or, reaches))
-
-
-def _variation_of_input(u0: RealScalarLike, turns: Scalars, u1: RealScalarLike) -> RealScalarLike:
-    """The total variation of |u| = sinh s over the step: u is monotone between the turning points of s.
-
-    No step is so long that the method would chatter (see `GuardedSolver`), which would be summed here.
-    """
-    inputs = [u0, *(sinh_cosh(s)[0] for s in turns), u1]
-    return sum(jnp.abs(b - a) for a, b in it.pairwise(inputs))
-
-
-def _mean_square_of_input(u0: RealScalarLike, s: Cubic, u1: RealScalarLike) -> RealScalarLike:
-    """By Lobatto's rule on s, since u can be exponential in time where s is straight."""
-    inner = sum(sinh_cosh(s(node))[0] ** 2 for node in _LOBATTO_NODES)
-    return _LOBATTO_END * (u0**2 + u1**2) + _LOBATTO_INNER * inner

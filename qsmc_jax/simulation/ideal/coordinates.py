@@ -78,7 +78,7 @@ class AbstractFunnelCoordinates(AbstractCoordinates):
 class FunnelCoordinates(AbstractFunnelCoordinates):
     r"""$y = (e^{(0)}, \dots, e^{(n-2)}, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$.
 
-    In it the law is $u = -\operatorname{sgn}(g) \sinh s$ and
+    In it the paper's law is $u = -\operatorname{sgn}(g) \sinh s$ and
     $\dot s = \cosh s \, [\frac{\pi}{2\rho} (w + g u) - \operatorname{gd}(s) \dot\rho / \rho]$, smooth everywhere: no
     pole to step over, and a loop that leaves the funnel shows as $|s| \to \infty$ in finite time. It is the same
     equation, not a way to enforce the claim.
@@ -96,11 +96,10 @@ class FunnelCoordinates(AbstractFunnelCoordinates):
         control = loop.control
         rho, rho_rate = control.funnel.width_and_rate(t)
         errors = _errors(loop, t, rho, y)
-        sinh, cosh = sinh_cosh(y[-1])
-        desired = loop.desired(t)
+        cosh, desired = sinh_cosh(y[-1])[1], loop.desired(t)
         balance = loop.balance(t, loop.state(errors, desired), errors, desired)
         _, centre_rate = control.funnel.centre_and_rate(t)
-        sigma_rate = balance.residual - centre_rate - balance.gain * control.gain_sign * sinh
+        sigma_rate = balance.residual - centre_rate + balance.gain * loop.input_at(t, errors, desired, y[-1])
         return (*errors[1:], cosh * (0.5 * jnp.pi * sigma_rate - gd(y[-1]) * rho_rate) / rho)
 
     def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:

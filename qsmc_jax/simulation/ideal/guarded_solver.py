@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.enclosures.unseen import Step as Stretch
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.simulation.guard import hidden
@@ -122,8 +123,10 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         if not isinstance(self.method, Rosenbrock):
             local = jnp.maximum(local, (_decay(args, t0, t1, running) / _STABLE) ** _STABLE_STEEPNESS)
         step, ys = Stretch(t0, t1, self.method.nodes), (y0.y, dense["middle"], y1)
-        us, tolerances = (jnp.abs(y0.running.u), jnp.abs(running.u)), self.settings
-        unseen = hidden(args, step, ys, us, tolerances.rtol, tolerances.atol / tolerances.rtol)
+        sinhs, us = (
+            tuple(jnp.abs(getattr(each, name)) for each in (y0.running.input, running.input)) for name in ("sinh", "u")
+        )
+        unseen = hidden(args, step, ys, sinhs, us, self.settings.rtol, self.settings.atol / self.settings.rtol)
         y1, error = kept1, StepError(jnp.where(is_sound, local, jnp.inf), unseen)
         has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
@@ -144,8 +147,16 @@ def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
 
 
 def _decay(problem: Problem, t0: RealScalarLike, t1: RealScalarLike, end: RunningMetrics) -> RealScalarLike:
-    r"""By how much a deviation of s decays within a step, $h |g| \frac{\pi}{2\rho} \cosh 2s$ [-], by its end."""
-    rate = jnp.abs(end.gain) * (0.5 * jnp.pi) * (1.0 + 2.0 * end.u**2) / problem.loop.control.funnel(t1)
+    r"""By how much a deviation decays within a step [-], by its end: $h |g| K \frac{\pi}{2\rho} \cosh 2s$ for s.
+
+    For a law of the user's it is that of the sliding variable.
+    """
+    law = problem.loop.control
+    if isinstance(law, QuasiSlidingControl):
+        rate = jnp.abs(end.gain) * law.gain * (0.5 * jnp.pi) * (1.0 + 2.0 * end.input.sinh**2) / law.funnel(t1)
+    else:
+        deviation = law.surface(end.errors) - law.funnel.centre(t1)
+        rate = jnp.abs(end.gain) * problem.loop.steepness(t1, end.errors, problem.loop.desired(t1), deviation)
     return jax.lax.stop_gradient((t1 - t0) * rate)
 
 

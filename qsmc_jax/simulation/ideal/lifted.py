@@ -17,10 +17,10 @@ from qsmc_jax.simulation.ideal.coordinates import (
 class LiftedCoordinates(AbstractFunnelCoordinates):
     r"""$y = (x_1, \dots, x_N, s)$ with $s = \operatorname{asinh}\tan(\pi\sigma / 2\rho)$.
 
-    The law acts on s, $u = -\operatorname{sgn}(g) \sinh s$, so that there is no pole to step over; and $\dot s = \cosh
-    s \, [\frac{\pi}{2\rho} (\dot\sigma + \mu (\sigma(t, x) - \rho z)) - \operatorname{gd}(s) \dot\rho / \rho]$, where
-    $z = \frac{2}{\pi} \operatorname{gd}(s)$. What x and s say of the sliding variable is the same but for errors of the
-    solve, which the term with the funnel's rate $\mu$ keeps from adding up.
+    The paper's law acts on s, $u = -\operatorname{sgn}(g) \sinh s$, so that there is no pole to step over; and
+    $\dot s = \cosh s \, [\frac{\pi}{2\rho} (\dot\sigma + \mu (\sigma(t, x) - \rho z)) - \operatorname{gd}(s)
+    \dot\rho / \rho]$, where $z = \frac{2}{\pi} \operatorname{gd}(s)$. What x and s say of the sliding variable is the
+    same but for errors of the solve, which the term with the funnel's rate $\mu$ keeps from adding up.
     """
 
     def start(self, loop: ClosedLoop, x0: State) -> Scalars:
@@ -33,8 +33,8 @@ class LiftedCoordinates(AbstractFunnelCoordinates):
         control, x, s = loop.control, tuple(y[:-1]), y[-1]
         rho, rho_rate = control.funnel.width_and_rate(t)
         centre, centre_rate = control.funnel.centre_and_rate(t)
-        sinh, cosh = sinh_cosh(s)
-        rates = loop.driven(t, x, -control.gain_sign * sinh)
+        cosh, errors = sinh_cosh(s)[1], loop.errors(t, x)
+        rates = loop.driven(t, x, loop.input_at(t, errors, loop.desired(t), s))
         sigma, sigma_rate = map(control.surface, loop.errors_in_motion(t, x, rates))
         pull = control.funnel.rate * (sigma - centre - rho * ratio(s)) - centre_rate
         return (*rates, cosh * (0.5 * jnp.pi * (sigma_rate + pull) - gd(s) * rho_rate) / rho)

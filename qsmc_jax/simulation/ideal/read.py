@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.accumulate import read_states
 from qsmc_jax.metrics.metric import Extent
@@ -16,6 +17,7 @@ from qsmc_jax.model.unseen import is_consistent
 from qsmc_jax.numerics.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.simulation.ideal.accumulate import Peak
 from qsmc_jax.simulation.ideal.guarded_solver import Run
+from qsmc_jax.simulation.ideal.input import least_and_largest
 from qsmc_jax.simulation.ideal.step import IdealStep, no_step
 from qsmc_jax.simulation.ideal.step_size import UNRESOLVED
 from qsmc_jax.simulation.judge import first_to_apply, is_refused, later_verdicts
@@ -31,6 +33,10 @@ _RESOLUTION = 0.02
 _DRIFT = 1e-3
 # Soon, also relative to the time: a run at the funnel's edge is outside if the gain is gone within that time.
 _SOON = 1e-10
+
+# Where around the edge a law is looked at, in parts of the half-width, and what is the same there.
+_AROUND_EDGE = (-1e-6, -1e-7, -1e-8, -1e-9, 1e-9, 1e-8, 1e-7, 1e-6)
+_SAME = 1e-3
 
 
 class FinalState(AbstractModule):
@@ -56,7 +62,9 @@ def read_metrics(problem: Problem, final: FinalState) -> Metrics:
     extent = Extent(final.end_time, final.horizon, is_complete, ~is_refused(outcome), resolution)
     has_left = outcome == Outcome.LEFT_FUNNEL
     is_steady = is_complete & (final.end_time > problem.reaching_time)
-    min_u, max_u, leaves_upwards = _signed_input(problem, final)
+    is_papers = isinstance(problem.loop.control, QuasiSlidingControl)
+    min_u, max_u = least_and_largest(problem, running.input)
+    lowest_if_left, highest_if_left = _ends_of_input(problem, final)
 
     def known(value: RealScalarLike, where_left: RealScalarLike = jnp.nan) -> Float[Array, ""]:
         return jnp.where(is_complete, value, jnp.where(has_left, where_left, jnp.nan))
@@ -70,17 +78,17 @@ def read_metrics(problem: Problem, final: FinalState) -> Metrics:
         peak_ratio=known(ratio(peak.height), 1.0),
         margin=known(margin(peak.height), 0.0),
         peak_time=known(peak.time, final.end_time),
-        peak_u=known(sinh_cosh(peak.height)[0], jnp.inf),
-        max_u=known(max_u, jnp.where(leaves_upwards, jnp.inf, jnp.nan)),
-        min_u=known(min_u, jnp.where(leaves_upwards, jnp.nan, -jnp.inf)),
+        peak_u=known(_peak_input(problem, peak, min_u, max_u), jnp.inf if is_papers else jnp.nan),
+        max_u=known(max_u, highest_if_left),
+        min_u=known(min_u, lowest_if_left),
         peak_u_bound=known(_comparison_bound(problem, peak, final.first_height)),
         reach_time=known(reach_time, jnp.inf),
         violation_time=known(jnp.inf, _escape_time(problem, final, has_left)),
         settle_time=known(settle_time, jnp.inf),
         peak_errors=tuple(jnp.where(is_steady, peak, jnp.nan) for peak in running.peak_errors),
         rms_error=known(jnp.sqrt(running.squared_error / jnp.where(is_complete, final.end_time, 1.0))),
-        energy_u=known(running.energy),
-        total_variation_u=known(running.total_variation),
+        energy_u=known(running.input.energy),
+        total_variation_u=known(running.input.variation),
         least_gain=running.least_gain,
         largest_disturbance=running.largest_disturbance,
         steps=final.steps,
@@ -106,12 +114,21 @@ def _outcome(problem: Problem, final: FinalState) -> Int[Array, ""]:
     return first_to_apply(final.refused, cases, Outcome.MAX_STEPS)
 
 
-def _signed_input(problem: Problem, final: FinalState) -> tuple[RealScalarLike, RealScalarLike, BoolScalarLike]:
-    """The least and the largest input, and whether that of a run which left grew upwards."""
-    extremes, sign = final.run.running.extremes, problem.loop.control.gain_sign
-    ends = tuple(-sign * sinh_cosh(s)[0] for s in (extremes.low, extremes.high))
+def _ends_of_input(problem: Problem, final: FinalState) -> tuple[RealScalarLike, RealScalarLike]:
+    """The least and the largest input of a run that left: under the paper's law one of them grows beyond all bounds."""
+    if not isinstance(problem.loop.control, QuasiSlidingControl):
+        return jnp.nan, jnp.nan
     s = problem.coordinates.funnel_coordinate(problem.loop, final.end_time, final.run.y)
-    return jnp.minimum(*ends), jnp.maximum(*ends), jnp.asarray(sign * s < 0.0)
+    grows_upwards = jnp.asarray(problem.loop.control.gain_sign * s < 0.0)
+    return jnp.where(grows_upwards, jnp.nan, -jnp.inf), jnp.where(grows_upwards, jnp.inf, jnp.nan)
+
+
+def _peak_input(problem: Problem, peak: Peak, min_u: RealScalarLike, max_u: RealScalarLike) -> RealScalarLike:
+    """The peak of |u|: without an offset it is where |s| has its own, which is found best."""
+    law, largest = problem.loop.control, jnp.maximum(jnp.abs(min_u), jnp.abs(max_u))
+    if not isinstance(law, QuasiSlidingControl):
+        return largest
+    return jnp.where(law.offset == 0.0, law.gain * sinh_cosh(peak.height)[0], largest)
 
 
 def _has_drifted(final: FinalState) -> Bool[Array, ""]:
@@ -158,7 +175,29 @@ def _is_leaving(problem: Problem, final: FinalState, is_far: BoolScalarLike) -> 
     soon, residual = _SOON * t, loop.balance(t, x, loop.errors(t, x), loop.desired(t)).residual
     pull = residual - loop.control.funnel.centre_and_rate(t)[1]
     is_carried_out = (s * pull > 0.0) & (margin(s) * loop.control.funnel(t) <= jnp.abs(pull) * soon)
-    return (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, loop.coasted(t, x, soon)))
+    leaves = (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, loop.coasted(t, x, soon)))
+    if isinstance(loop.control, QuasiSlidingControl):
+        return leaves
+    # Under a law that knows no edge it crosses it if it moves out as fast as rounding is not.
+    moves_out = (s * s_rate > 0.0) & (margin(s) <= jnp.abs(s_rate) / sinh_cosh(s)[1] * soon)
+    return leaves | (moves_out & _knows_no_edge(loop, t, x, jnp.sign(s)))
+
+
+def _knows_no_edge(loop: ClosedLoop, t: RealScalarLike, x: Scalars, side: RealScalarLike) -> BoolScalarLike:
+    """Whether a law gives the same just inside and just outside the funnel's edge, and as near to it as one may look.
+
+    One that has a pole there pushes back as hard as it takes, closer to the edge than it could be followed.
+    """
+    errors, desired, funnel = loop.errors(t, x), loop.desired(t), loop.control.funnel
+    deviation = loop.control.surface(errors) - funnel.centre(t)
+
+    def at(place: float) -> RealScalarLike:
+        there = side * place * funnel(t)
+        return loop.command(t, (*errors[:-1], errors[-1] + there - deviation), desired, there)
+
+    inputs = jnp.stack([at(1.0 + gap) for gap in _AROUND_EDGE])
+    spread = jnp.max(inputs) - jnp.min(inputs)  # NaN where the law is not defined
+    return spread <= _SAME * (1.0 + jnp.max(jnp.abs(inputs)))
 
 
 def _pushes_back(loop: ClosedLoop, t: RealScalarLike, x: Scalars) -> BoolScalarLike:
@@ -206,12 +245,16 @@ def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike
 
     Where |z| = |sigma|/rho peaks after the start its derivative is not negative outwards, so
     $\tan(\pi |z| / 2) \le (|w| + |\dot\rho|) / |g|$ there: sharper than the supremum over time, and it needs no search.
+    With a gain K and an offset $u_0$ of the law: $K \tan \le (|w + g u_0| + |\dot\rho|) / |g|$, and $|u_0|$ more.
     Source: the step "contradiction" in the proof of Theorem 1, made quantitative.
     """
-    loop, t = problem.loop, peak.time
+    loop, law, t = problem.loop, problem.loop.control, peak.time
+    if not isinstance(law, QuasiSlidingControl):
+        return jnp.full((), jnp.nan)
     x = problem.coordinates.state(loop, t, peak.y)
     balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
     (_, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
     gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
-    at_peak = (jnp.abs(balance.residual - centre_rate) + jnp.abs(rho_rate)) / jnp.abs(gain)
-    return jnp.maximum(sinh_cosh(first_height)[0], jnp.where(balance.gain == 0.0, jnp.inf, at_peak))
+    at_peak = (jnp.abs(balance.residual + balance.gain * law.offset - centre_rate) + jnp.abs(rho_rate)) / jnp.abs(gain)
+    bound = jnp.maximum(law.gain * sinh_cosh(first_height)[0], jnp.where(balance.gain == 0.0, jnp.inf, at_peak))
+    return bound + jnp.abs(law.offset)

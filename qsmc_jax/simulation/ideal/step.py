@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.metrics.signals import AbstractStep, Signals
-from qsmc_jax.numerics.gudermann import ratio, sinh_cosh
+from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.simulation.problem import Problem
 from qsmc_jax.solvers.quartic_interpolation import QuarticInterpolation
 
@@ -63,7 +63,7 @@ def ideal_signals(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
     centre = loop.control.funnel.centre(t)
     s = coordinates.funnel_coordinate(loop, t, y)
     e = loop.errors(t, x)
-    balance, u = loop.balance(t, x, e, desired), -loop.control.gain_sign * sinh_cosh(s)[0]
+    balance, u = loop.balance(t, x, e, desired), loop.input_at(t, e, desired, s)
     part, (d, w, g) = ratio(s), (balance.disturbance, balance.residual, balance.gain)
     return Signals(t, x, desired[:-1], e, rho * part + centre, rho, part, u, d, w, g)
 
