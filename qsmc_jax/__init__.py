@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from qsmc_jax.simulation.trajectory import simulate as simulate
     from qsmc_jax.statistics.anytime import confidence_sequence as confidence_sequence
     from qsmc_jax.statistics.intervals import runs_needed as runs_needed
+    from qsmc_jax.study.draw import Draw as Draw
     from qsmc_jax.study.monte_carlo import monte_carlo as monte_carlo
     from qsmc_jax.study.monte_carlo import stream as stream
     from qsmc_jax.study.runs import Runs as Runs
@@ -109,6 +110,7 @@ _HOMES = {
     "tight": "qsmc_jax.simulation.settings",
     "Trajectory": "qsmc_jax.simulation.trajectory",
     "simulate": "qsmc_jax.simulation.trajectory",
+    "Draw": "qsmc_jax.study.draw",
     "monte_carlo": "qsmc_jax.study.monte_carlo",
     "stream": "qsmc_jax.study.monte_carlo",
     "Runs": "qsmc_jax.study.runs",

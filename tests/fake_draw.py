@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from qsmc_jax.base.types import Draw
+from qsmc_jax.base.types import DrawLike
 
 
-class FakeDraw(Draw):
+class FakeDraw(DrawLike):
     """A seeded source of named numbers that records what it was asked."""
 
     def __init__(self, seed=0):

@@ -26,16 +26,12 @@ Scalars: TypeAlias = tuple[RealScalarLike, ...]
 
 
 @runtime_checkable
-class Draw(Protocol):
-    """What a scenario function receives: named numbers, one method per distribution.
+class DrawLike(Protocol):
+    """What the package's own models ask of a `Draw`, which is in the study layer.
 
-    Implemented in the study layer; models only need to know its shape. Every method takes a `name` that labels a column
-    of the result table, and returns a float64 scalar, or an array of the given `shape`.
+    Every method takes a `name` that labels a column of the result table, and returns a float64 scalar, or an array of
+    the given `shape`.
     """
-
-    def parameter(self, name: str, default: RealScalarLike, *, bounds: tuple[RealScalarLike, RealScalarLike]) -> Any:
-        """A named number that is fixed unless something substitutes it."""
-        ...
 
     def uniform(self, name: str, low: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Uniform on [low, high]."""
@@ -45,41 +41,6 @@ class Draw(Protocol):
         """Uniform in the logarithm on [low, high], 0 < low < high."""
         ...
 
-    def normal(self, name: str, mean: RealScalarLike, std: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
-        """Normal with the given mean and standard deviation."""
-        ...
-
-    def truncated_normal(
-        self,
-        name: str,
-        mean: RealScalarLike,
-        std: RealScalarLike,
-        low: RealScalarLike,
-        high: RealScalarLike,
-        *,
-        shape: tuple[int, ...] = (),
-    ) -> Any:
-        """Normal with the given mean and standard deviation, conditioned on [low, high]."""
-        ...
-
-    def triangular(
-        self, name: str, low: RealScalarLike, mode: RealScalarLike, high: RealScalarLike, *, shape: tuple[int, ...] = ()
-    ) -> Any:
-        """Triangular on [low, high] with its peak at `mode`."""
-        ...
-
     def exponential(self, name: str, mean: RealScalarLike, *, shape: tuple[int, ...] = ()) -> Any:
         """Exponential with the given mean."""
-        ...
-
-    def choice(self, name: str, values: Sequence[Any] | np.ndarray | Array, *, shape: tuple[int, ...] = ()) -> Any:
-        """One of `values`, each equally likely."""
-        ...
-
-    def sign(self, name: str, *, shape: tuple[int, ...] = ()) -> Any:
-        """-1 or +1, equally likely."""
-        ...
-
-    def record(self, name: str, value: Any) -> Any:
-        """Makes a number that the scenario works out from others a column; returns it."""
         ...

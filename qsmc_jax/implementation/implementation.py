@@ -20,7 +20,7 @@ from qsmc_jax.base.checks import (
     show,
 )
 from qsmc_jax.base.module import AbstractModule, float_field
-from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
+from qsmc_jax.base.types import BoolScalarLike, DrawLike, RealScalarLike, Scalars
 from qsmc_jax.control.control import Beyond
 from qsmc_jax.implementation.actuators import AbstractActuator
 from qsmc_jax.implementation.noises import AbstractNoise
@@ -300,7 +300,7 @@ _KINDS = {
 }
 
 
-def random_jitter(draw: Draw, name: str, fraction: RealScalarLike) -> Jitter:
+def random_jitter(draw: DrawLike, name: str, fraction: RealScalarLike) -> Jitter:
     """Jitter of up to the given fraction of the period; the realisation is drawn as `<name>.seed`.
 
     Args:

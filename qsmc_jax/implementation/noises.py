@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_nonnegative
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
-from qsmc_jax.base.types import BoolScalarLike, Draw, RealScalarLike, Scalars
+from qsmc_jax.base.types import BoolScalarLike, DrawLike, RealScalarLike, Scalars
 from qsmc_jax.implementation.rng import Consumer, normals, uniforms
 from qsmc_jax.model.disturbances import AbstractDisturbance, random_sines
 from qsmc_jax.model.disturbances.disturbance import require_disturbances
@@ -132,7 +132,7 @@ class Signals(AbstractNoise):
         return jnp.array(True)
 
 
-def white(draw: Draw, name: str, std: Sequence[Any] | np.ndarray | Array) -> White:
+def white(draw: DrawLike, name: str, std: Sequence[Any] | np.ndarray | Array) -> White:
     """White Gaussian noise of the given standard deviations; the realisation is drawn as `<name>.seed`.
 
     Args:
@@ -156,7 +156,7 @@ def white(draw: Draw, name: str, std: Sequence[Any] | np.ndarray | Array) -> Whi
     return White(as_float64(std), draw.uniform(f"{name}.seed", 0.0, 1.0))
 
 
-def uniform(draw: Draw, name: str, amplitude: Sequence[Any] | np.ndarray | Array) -> Uniform:
+def uniform(draw: DrawLike, name: str, amplitude: Sequence[Any] | np.ndarray | Array) -> Uniform:
     """White noise of the given amplitudes; the realisation is drawn as `<name>.seed`.
 
     Args:
@@ -181,7 +181,7 @@ def uniform(draw: Draw, name: str, amplitude: Sequence[Any] | np.ndarray | Array
 
 
 def coloured(
-    draw: Draw,
+    draw: DrawLike,
     name: str,
     amplitude: Sequence[Any] | np.ndarray | Array,
     terms: int = 8,

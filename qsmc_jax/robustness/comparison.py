@@ -236,7 +236,7 @@ def _require_same_names(studies: Mapping[str, Study]) -> None:
     require(len(studies) >= 1, "Argument `studies` must have at least one study, but is empty.")
     for name, study in studies.items():
         require_study(study, f"studies[{name!r}]")
-    drawn = {name: tuple((s.name, s.shape) for s in study.specs if s.size) for name, study in studies.items()}
+    drawn = {name: tuple((s.name, s.shape) for s in study.specs if s.is_drawn) for name, study in studies.items()}
     (first, expected), *others = drawn.items()
     for name, found in others:
         require(

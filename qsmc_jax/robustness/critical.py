@@ -15,8 +15,8 @@ from qsmc_jax.robustness.critical_result import CriticalTest, CriticalValue, Sid
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.statistics.intervals import runs_needed
 from qsmc_jax.statistics.simultaneous import each_of
-from qsmc_jax.study.draw import check_values
 from qsmc_jax.study.monte_carlo import Progress
+from qsmc_jax.study.specs import check_values
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.resolve import decide, part_of
 

@@ -17,9 +17,9 @@ from qsmc_jax.robustness.limits import Threshold, limits
 from qsmc_jax.robustness.map_plots import plot_map
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.statistics.simultaneous import simultaneous_intervals
-from qsmc_jax.study.draw import check_values
 from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.specs import check_values
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.counts import HEADING, Counts
 from qsmc_jax.verification.resolve import decide, part_of

@@ -13,7 +13,8 @@ from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.metrics.check import Sizes, kind_of, program_of
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.simulation.contents import Contents, functions_of
-from qsmc_jax.study.draw import PointDraw, dimension
+from qsmc_jax.study.draw import Draw
+from qsmc_jax.study.specs import dimension
 from qsmc_jax.tracing.digest import digest
 
 
@@ -24,7 +25,7 @@ def contents(scenario: Callable[[Any], Any], measures: tuple[AbstractMeasure, ..
         scenario: The scenario. Two with the same contents give the same rows.
         measures: Metrics and requirements of the study, each of which is a part.
     """
-    draw = PointDraw()
+    draw = Draw()
     with in_64_bits():
         nominal = scenario(draw)
     own = ((f"{kind_of(each)} `{each.name}`", _measure(each, nominal.loop.sizes)) for each in measures)
@@ -80,7 +81,7 @@ def _scenario(scenario: Callable[[Any], Any], dim: int) -> str:
     structures: list[Any] = []
 
     def program(point: Any) -> Any:
-        arrays, rest = eqx.partition(scenario(PointDraw(point, {})), eqx.is_array_like)
+        arrays, rest = eqx.partition(scenario(Draw(point, {})), eqx.is_array_like)
         structures.append(rest)
         return arrays
 

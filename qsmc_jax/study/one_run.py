@@ -15,7 +15,7 @@ from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.signals import SolvedRun, solve_along
 from qsmc_jax.simulation.stiffness import stiffness
 from qsmc_jax.study.contents import Made
-from qsmc_jax.study.draw import PointDraw
+from qsmc_jax.study.draw import Draw
 
 Values = Mapping[str, Array]
 
@@ -28,7 +28,7 @@ def run(
     point: Float[Array, " dim"],
 ) -> tuple[dict[str, Array], Metrics]:
     """The values of a run's names, and those of its metrics that its study asks for: XLA works out no others."""
-    draw = PointDraw(point, values)
+    draw = Draw(point, values)
     made = scenario(draw)
     x0 = tuple(made.x0[i] for i in range(made.loop.states))
     problem = pose(made.loop, x0, bandwidth, settings, scenario.contents, scenario.measures)
@@ -45,7 +45,7 @@ def run_along(
     point: Float[Array, " dim"],
 ) -> tuple[dict[str, Array], SolvedRun]:
     """The values of a run's names, its metrics and its signals at the times."""
-    draw = PointDraw(point, values)
+    draw = Draw(point, values)
     made = scenario(draw)
     known = draw.is_valid, scenario.contents, scenario.measures
     solved = solve_along(made.loop, made.x0, jnp.asarray(made.t1), bandwidth, ts, settings, *known)
@@ -54,7 +54,7 @@ def run_along(
 
 def stiffness_at(scenario: Made, values: Values, point: Float[Array, " dim"]) -> Float[Array, ""]:
     """How stiff a run will be; see simulation/stiffness.py."""
-    made = scenario(PointDraw(point, values))
+    made = scenario(Draw(point, values))
     return jnp.asarray(stiffness(made.loop, made.x0, jnp.asarray(made.t1), scenario.contents))
 
 

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.types import Draw
 from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.check import check_measures, records_in
@@ -26,9 +25,10 @@ from qsmc_jax.simulation.signals import grid_of, signals_at_start
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
 from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn, trajectory
 from qsmc_jax.study.contents import Contents, Made, contents
-from qsmc_jax.study.draw import TABLE_COLUMNS, DrawSpec, PointDraw, check_values, dimension, discover
+from qsmc_jax.study.draw import Draw, discover
 from qsmc_jax.study.one_run import program, run_along, stiffness_at
 from qsmc_jax.study.sampling import AbstractSampling, Random
+from qsmc_jax.study.specs import TABLE_COLUMNS, DrawSpec, check_values, dimension
 
 
 class Scenario(AbstractModule):
@@ -140,7 +140,7 @@ class Study:
         found = [float(self.nominal.t1)]
         for point in Random().points(0, range(_TRIED), self.dimension):
             with contextlib.suppress(ValueError):
-                found.append(float(_call(self.scenario, PointDraw(point, self.values)).t1))
+                found.append(float(_call(self.scenario, Draw(point, self.values)).t1))
         return max(found)
 
     @property
@@ -176,7 +176,7 @@ class Study:
     def _take(self, values: Mapping[str, Any]) -> None:
         """Checks the values and what the scenario makes of them, and keeps both."""
         values = check_values(self.specs, values)
-        nominal = _call(self.scenario, PointDraw(None, values))
+        nominal = _call(self.scenario, Draw(None, values))
         check_functions(nominal.loop, nominal.x0, nominal.t1)
         nominal.loop.control.funnel.check_bandwidth(self.bandwidth)
         object.__setattr__(self, "values", values)
@@ -278,7 +278,7 @@ class Study:
             settings: Method and tolerances; None for the defaults.
         """
         point = (sampling or Random()).points(seed, [index], self.dimension)[0]
-        draw = PointDraw(point, self.values)
+        draw = Draw(point, self.values)
         try:
             made = _call(self.scenario, draw)
         except ValueError:
@@ -343,7 +343,7 @@ def _requirements(given: Any) -> dict[Any, Requirement]:
     return dict(given)
 
 
-def _scenario_of(scenario: Callable[[Any], Any], draw: PointDraw) -> Scenario:
+def _scenario_of(scenario: Callable[[Any], Any], draw: Draw) -> Scenario:
     """What a scenario function returns, which must be a `Scenario`."""
     result = scenario(draw)
     found = type(result).__name__

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from qsmc_jax.base.checks import require
 from qsmc_jax.display.scales import spans_decade
-from qsmc_jax.study.draw import check_values
+from qsmc_jax.study.specs import check_values
 from qsmc_jax.study.study import Study, require_study
 
 

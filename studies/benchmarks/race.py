@@ -23,7 +23,7 @@ import numpy as np
 
 import qsmc_jax as qj
 from qsmc_jax.simulation import engine
-from qsmc_jax.study.draw import PointDraw
+from qsmc_jax.study.draw import Draw
 from qsmc_jax.tracing.compiled import compiled
 
 RHO_INF = (0.05, 0.005, 0.0005)
@@ -209,7 +209,7 @@ def gradient_cost(runs: int, repeats: int) -> dict[str, float]:
     def mean(gains: Any, rtol: Any) -> Any:
         def rms_error(point: Any) -> Any:
             settings = qj.SolverSettings(rtol, method="tsit5", adjoint="forward")
-            made = example1(PointDraw(point, gains))
+            made = example1(Draw(point, gains))
             x0 = tuple(made.x0)
             metrics, _ = engine.solve(engine.pose(made.loop, x0, 0.1, settings), x0, made.t1, settings)
             return metrics.rms_error + metrics.peak_ratio

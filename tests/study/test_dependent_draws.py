@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import qsmc_jax as qj
-from qsmc_jax.study.draw import PointDraw
+from qsmc_jax.study.draw import Draw
 from studies_for_tests import Integrator
 
 BLOCK = 64
@@ -53,7 +53,7 @@ def study_of(drawn, implementation):
 
 def noted(drawn, point):
     """What is drawn first, and whether the run was found to be in range."""
-    draw = PointDraw(point)
+    draw = Draw(point)
     drawn(draw, draw.uniform("a", 0.0, 2.0))
     return draw.recorded["a"], draw.is_valid
 
@@ -123,7 +123,7 @@ def test_the_advice_names_the_distribution():
 
 def test_fixed_arguments_cost_nothing():
     """They are compared once, before any run: a batch has nothing to compare."""
-    draw = PointDraw(np.full(2, 0.5))
+    draw = Draw(np.full(2, 0.5))
     draw.uniform("a", 0.0, 1.0)
     draw.normal("b", 0.0, 1.0)
     assert draw.is_valid is np.True_
@@ -138,5 +138,5 @@ def test_a_default_that_depends_on_draws_is_refused():
         loop = qj.ClosedLoop(Integrator(1.0), qj.references.Constant(0.0), qj.disturbances.Zero(), control)
         return qj.Scenario(loop, x0=[0.5], t1=0.5)
 
-    with pytest.raises(ValueError, match="`default` of `mu` must be a fixed number, but depends on other names"):
+    with pytest.raises(ValueError, match="`default` of `mu` must be fixed, but depends on other names"):
         qj.Study(scenario, bandwidth=0.2)

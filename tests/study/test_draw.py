@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from qsmc_jax.base.precision import enable_x64
-from qsmc_jax.study.draw import PointDraw, _require_new_name, check_values, dimension, discover
+from qsmc_jax.study.draw import Draw, discover
+from qsmc_jax.study.specs import check_values, dimension, require_new_name
 
+GUMBEL = stats.gumbel_r(8.0, 2.0)
 # what is drawn, SciPy's distribution, and the bounds
 DISTRIBUTIONS = {
     "uniform": (lambda d, **k: d.uniform("a", -2.0, 3.0, **k), stats.uniform(-2.0, 5.0), (-2.0, 3.0)),
@@ -35,6 +37,13 @@ DISTRIBUTIONS = {
     "triangular left": (lambda d, **k: d.triangular("a", 1.0, 1.0, 4.0, **k), stats.triang(0, 1.0, 3.0), (1.0, 4.0)),
     "triangular right": (lambda d, **k: d.triangular("a", 1.0, 4.0, 4.0, **k), stats.triang(1, 1.0, 3.0), (1.0, 4.0)),
     "exponential": (lambda d, **k: d.exponential("a", 0.3, **k), stats.expon(scale=0.3), (0.0, np.inf)),
+    "lognormal": (lambda d, **k: d.lognormal("a", 2.0, 0.3, **k), stats.lognorm(0.3, scale=2.0), (0.0, np.inf)),
+    "weibull": (lambda d, **k: d.weibull("a", 1.7, 0.3, **k), stats.weibull_min(1.7, scale=0.3), (0.0, np.inf)),
+    "gamma": (lambda d, **k: d.gamma("a", 2.5, 0.3, **k), stats.gamma(2.5, scale=0.3), (0.0, np.inf)),
+    "gamma steep": (lambda d, **k: d.gamma("a", 0.2, 0.3, **k), stats.gamma(0.2, scale=0.3), (0.0, np.inf)),
+    "beta": (lambda d, **k: d.beta("a", 2.0, 5.0, -1.0, 3.0, **k), stats.beta(2.0, 5.0, -1.0, 4.0), (-1.0, 3.0)),
+    "beta at both ends": (lambda d, **k: d.beta("a", 0.5, 0.4, **k), stats.beta(0.5, 0.4), (0.0, 1.0)),
+    "from_scipy": (lambda d, **k: d.from_scipy("a", GUMBEL, **k), GUMBEL, (-np.inf, np.inf)),
 }
 CONTINUOUS = pytest.mark.parametrize(("draw_one", "truth", "bounds"), DISTRIBUTIONS.values(), ids=DISTRIBUTIONS.keys())
 
@@ -42,19 +51,19 @@ CONTINUOUS = pytest.mark.parametrize(("draw_one", "truth", "bounds"), DISTRIBUTI
 @CONTINUOUS
 def test_value_is_scipys_quantile(draw_one, truth, bounds):
     u = np.array([1e-12, 0.03, 0.2, 0.5, 0.8, 0.99, 1 - 1e-9])
-    np.testing.assert_allclose(draw_one(PointDraw(u), shape=(7,)), truth.ppf(u), rtol=1e-9)
+    np.testing.assert_allclose(draw_one(Draw(u), shape=(7,)), truth.ppf(u), rtol=1e-9)
 
 
 @CONTINUOUS
 def test_ends_of_the_cube_give_finite_values_within_bounds(draw_one, truth, bounds):
-    value = draw_one(PointDraw(np.array([0.0, 1.0, 5e-324, np.nextafter(1.0, 0.0)])), shape=(4,))
+    value = draw_one(Draw(np.array([0.0, 1.0, 5e-324, np.nextafter(1.0, 0.0)])), shape=(4,))
     assert np.all(np.isfinite(value) & (bounds[0] <= value) & (value <= bounds[1]))
 
 
 @CONTINUOUS
 def test_traced_value_is_scipys_quantile_and_has_its_slope(draw_one, truth, bounds):
     u = np.array([1e-6, 0.1, 0.3, 0.5, 0.9])
-    one = jax.value_and_grad(lambda point: draw_one(PointDraw(point[None])))
+    one = jax.value_and_grad(lambda point: draw_one(Draw(point[None])))
     value, slope = jax.jit(jax.vmap(one))(u)
     np.testing.assert_allclose(value, truth.ppf(u), rtol=1e-9)
     np.testing.assert_allclose(slope, 1 / truth.pdf(truth.ppf(u)), rtol=1e-7)
@@ -62,7 +71,7 @@ def test_traced_value_is_scipys_quantile_and_has_its_slope(draw_one, truth, boun
 
 @CONTINUOUS
 def test_traced_ends_of_the_cube_give_finite_values_within_bounds(draw_one, truth, bounds):
-    value = jax.jit(jax.vmap(lambda point: draw_one(PointDraw(point))))(np.array([[0.0], [1.0], [5e-324]]))
+    value = jax.jit(jax.vmap(lambda point: draw_one(Draw(point))))(np.array([[0.0], [1.0], [5e-324]]))
     assert np.all(np.isfinite(value) & (bounds[0] <= value) & (value <= bounds[1]))
 
 
@@ -77,38 +86,38 @@ def test_spec_holds_bounds_and_median(draw_one, truth, bounds):
 @example(0.1, 0.2, 1.0)
 def test_uniform_stays_within_bounds_whatever_they_are(low, width, u):
     high = low + width
-    assert low <= PointDraw(np.array([u])).uniform("a", low, high) <= high
+    assert low <= Draw(np.array([u])).uniform("a", low, high) <= high
 
 
 def test_choice_gives_each_value_the_same_share():
     u = (np.arange(6) + 0.5) / 6
-    value = PointDraw(u).choice("a", [3.0, 1.0, 2.0], shape=(6,))
+    value = Draw(u).choice("a", [3.0, 1.0, 2.0], shape=(6,))
     np.testing.assert_array_equal(value, [3, 3, 1, 1, 2, 2])
 
 
 def test_traced_choice_gives_each_value_the_same_share():
-    value = jax.jit(lambda u: PointDraw(u).choice("a", [3.0, 1.0, 2.0], shape=(6,)))((np.arange(6) + 0.5) / 6)
+    value = jax.jit(lambda u: Draw(u).choice("a", [3.0, 1.0, 2.0], shape=(6,)))((np.arange(6) + 0.5) / 6)
     np.testing.assert_array_equal(value, [3, 3, 1, 1, 2, 2])
 
 
 def test_choice_at_the_end_of_the_cube_is_the_last_value():
-    assert PointDraw(np.array([1.0])).choice("a", [3.0, 1.0, 2.0]) == 2.0
+    assert Draw(np.array([1.0])).choice("a", [3.0, 1.0, 2.0]) == 2.0
 
 
 def test_sign_is_minus_then_plus():
-    np.testing.assert_array_equal(PointDraw(np.array([0.0, 0.49, 0.51, 1.0])).sign("a", shape=(4,)), [-1, -1, 1, 1])
+    np.testing.assert_array_equal(Draw(np.array([0.0, 0.49, 0.51, 1.0])).sign("a", shape=(4,)), [-1, -1, 1, 1])
 
 
 def test_numbers_are_numpy_float64_even_outside_a_64_bit_context():
     with enable_x64(False):
-        value = PointDraw(np.array([0.3])).uniform("a", 0.0, 1.0)
+        value = Draw(np.array([0.3])).uniform("a", 0.0, 1.0)
     assert isinstance(value, np.float64)
     assert value == 0.3
 
 
 def test_a_fixed_point_can_be_drawn_while_something_else_is_traced():
     def doubled(mu):
-        draw = PointDraw(np.array([0.25]), {"mu": mu})
+        draw = Draw(np.array([0.25]), {"mu": mu})
         return draw.parameter("mu", 3.0, bounds=(0.5, 10.0)) * draw.uniform("a", 0.0, 4.0)
 
     assert jax.jit(jax.value_and_grad(doubled))(5.0) == (5.0, 1.0)
@@ -158,14 +167,14 @@ def test_specs_are_hashable_values():
 
 def test_coordinates_go_to_their_names_in_c_order():
     point = (np.arange(10) + 0.5) / 10
-    _, _, x0, table, side = scenario(PointDraw(point))
+    _, _, x0, table, side = scenario(Draw(point))
     np.testing.assert_allclose(x0, point[1:3])
     np.testing.assert_allclose(table, stats.norm.ppf(point[3:9]).reshape(2, 3), rtol=1e-14, atol=1e-15)
     assert side == 1.0
 
 
 def test_record_holds_every_value_in_order():
-    draw = PointDraw(np.full(10, 0.5), {"mu": 2.0})
+    draw = Draw(np.full(10, 0.5), {"mu": 2.0})
     scenario(draw)
     assert list(draw.recorded) == ["mass", "mu", "x0", "table", "side"]
     assert draw.recorded["mu"] == 2.0
@@ -179,7 +188,7 @@ def derived(draw):
 
 def test_what_is_recorded_is_told_and_takes_no_coordinate():
     point = np.array([0.5, 1.0, 0.25])
-    side, area, squares, after = derived(PointDraw(point))
+    side, area, squares, after = derived(Draw(point))
     assert (area, after) == pytest.approx((6.0, 0.25), rel=1e-15)
     np.testing.assert_array_equal(squares, side**2)
     specs, _ = discover(derived)
@@ -200,8 +209,8 @@ def test_what_is_recorded_can_not_be_chosen():
 
 def test_substitution_moves_nothing_else():
     point = np.linspace(0.05, 0.95, 10)
-    mass, mu, x0, table, side = scenario(PointDraw(point))
-    new = scenario(PointDraw(point, {"x0": np.array([0.1, 0.2]), "mu": 7.0}))
+    mass, mu, x0, table, side = scenario(Draw(point))
+    new = scenario(Draw(point, {"x0": np.array([0.1, 0.2]), "mu": 7.0}))
     np.testing.assert_array_equal(new[2], [0.1, 0.2])
     assert (new[0], new[1], new[4]) == (mass, 7.0, side)
     np.testing.assert_array_equal(new[3], table)
@@ -226,14 +235,14 @@ def test_bounds_that_depend_on_other_names_are_open():
 
 def test_hierarchical_draws_use_the_drawn_arguments():
     point = np.array([0.5, 0.25, 0.9, 0.5, 0.5])
-    traced = jax.jit(lambda point, values: hierarchical(PointDraw(point, values)))(point, {"shift": np.array(0.5)})
-    np.testing.assert_allclose(traced, hierarchical(PointDraw(point)), rtol=1e-14)
+    traced = jax.jit(lambda point, values: hierarchical(Draw(point, values)))(point, {"shift": np.array(0.5)})
+    np.testing.assert_allclose(traced, hierarchical(Draw(point)), rtol=1e-14)
     assert float(traced[0]) == pytest.approx(0.375)
 
 
 def test_triangular_has_a_finite_gradient_in_its_arguments():
     def median(low, mode, high):
-        return PointDraw(np.array([0.5])).triangular("a", low, mode, high)
+        return Draw(np.array([0.5])).triangular("a", low, mode, high)
 
     assert np.all(np.isfinite(jax.jit(jax.grad(median, argnums=(0, 1, 2)))(0.0, 0.0, 1.0)))
 
@@ -288,7 +297,7 @@ def test_wrong_arguments_are_named(call, message):
 
 def test_a_name_must_be_a_string():
     with pytest.raises(ValueError, match="`name` must be a string that is not empty, but is 3"):
-        _require_new_name(3, {})
+        require_new_name(3, {})
 
 
 def test_the_ends_of_the_bounds_belong_to_them():
@@ -298,7 +307,7 @@ def test_the_ends_of_the_bounds_belong_to_them():
 
 def test_a_point_must_have_every_coordinate():
     with pytest.raises(ValueError, match="`point` must have at least 3 coordinates when `x0` is drawn, but has 2"):
-        scenario(PointDraw(np.full(2, 0.5)))
+        scenario(Draw(np.full(2, 0.5)))
 
 
 FUNNEL = discover(

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import pdtrc
 
 from qsmc_jax.base.checks import is_traced, require, require_count, require_positive
-from qsmc_jax.base.types import Draw, RealScalarLike
+from qsmc_jax.base.types import DrawLike, RealScalarLike
 from qsmc_jax.model.disturbances.switching import SmoothSteps, Telegraph
 from qsmc_jax.model.disturbances.waveforms import BandLimitedNoise, Sine, SumOfSines
 
@@ -19,7 +19,9 @@ from qsmc_jax.model.disturbances.waveforms import BandLimitedNoise, Sine, SumOfS
 _EXHAUSTION = 1e-12
 
 
-def random_sine(draw: Draw, name: str, bound: RealScalarLike, frequencies: tuple[float, float] = (0.1, 10.0)) -> Sine:
+def random_sine(
+    draw: DrawLike, name: str, bound: RealScalarLike, frequencies: tuple[float, float] = (0.1, 10.0)
+) -> Sine:
     """A sine with amplitude uniform on [0, bound], frequency log-uniform, phase uniform on the circle.
 
     Args:
@@ -53,7 +55,7 @@ def random_sine(draw: Draw, name: str, bound: RealScalarLike, frequencies: tuple
 
 
 def random_sines(
-    draw: Draw, name: str, bound: RealScalarLike, terms: int = 8, frequencies: tuple[float, float] = (0.1, 10.0)
+    draw: DrawLike, name: str, bound: RealScalarLike, terms: int = 8, frequencies: tuple[float, float] = (0.1, 10.0)
 ) -> SumOfSines:
     """A sum of sines whose amplitudes are uniform over all non-negative ones that sum to the bound.
 
@@ -96,7 +98,7 @@ def random_sines(
 
 
 def random_telegraph(
-    draw: Draw, name: str, bound: RealScalarLike, rate: RealScalarLike, horizon: RealScalarLike
+    draw: DrawLike, name: str, bound: RealScalarLike, rate: RealScalarLike, horizon: RealScalarLike
 ) -> Telegraph:
     """A Poisson telegraph: exponential holding times, and levels independent and uniform on [-bound, bound].
 
@@ -141,7 +143,7 @@ def random_telegraph(
 
 
 def random_steps(
-    draw: Draw, name: str, bound: RealScalarLike, steps: int, horizon: RealScalarLike, rise_time: RealScalarLike
+    draw: DrawLike, name: str, bound: RealScalarLike, steps: int, horizon: RealScalarLike, rise_time: RealScalarLike
 ) -> SmoothSteps:
     """Smooth steps between levels uniform on [-bound, bound], one in each of `steps` equal parts of the horizon.
 
@@ -181,7 +183,7 @@ def random_steps(
 
 
 def random_noise(
-    draw: Draw,
+    draw: DrawLike,
     name: str,
     bound: RealScalarLike,
     cutoff: RealScalarLike,
