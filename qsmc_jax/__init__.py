@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from qsmc_jax.simulation.trajectory import simulate as simulate
     from qsmc_jax.statistics.anytime import confidence_sequence as confidence_sequence
     from qsmc_jax.statistics.intervals import runs_needed as runs_needed
+    from qsmc_jax.study.cases import table_of as table_of
     from qsmc_jax.study.draw import Draw as Draw
     from qsmc_jax.study.monte_carlo import monte_carlo as monte_carlo
     from qsmc_jax.study.monte_carlo import stream as stream
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from qsmc_jax.study.sampling import LatinHypercube as LatinHypercube
     from qsmc_jax.study.sampling import Random as Random
     from qsmc_jax.study.sampling import Sobol as Sobol
+    from qsmc_jax.study.sampling import Table as Table
     from qsmc_jax.study.signals import SignalBatch as SignalBatch
     from qsmc_jax.study.signals import signals as signals
     from qsmc_jax.study.study import Scenario as Scenario
@@ -110,6 +112,7 @@ _HOMES = {
     "tight": "qsmc_jax.simulation.settings",
     "Trajectory": "qsmc_jax.simulation.trajectory",
     "simulate": "qsmc_jax.simulation.trajectory",
+    "table_of": "qsmc_jax.study.cases",
     "Draw": "qsmc_jax.study.draw",
     "monte_carlo": "qsmc_jax.study.monte_carlo",
     "stream": "qsmc_jax.study.monte_carlo",
@@ -119,6 +122,7 @@ _HOMES = {
     "LatinHypercube": "qsmc_jax.study.sampling",
     "Random": "qsmc_jax.study.sampling",
     "Sobol": "qsmc_jax.study.sampling",
+    "Table": "qsmc_jax.study.sampling",
     "Scenario": "qsmc_jax.study.study",
     "Study": "qsmc_jax.study.study",
     "Comparison": "qsmc_jax.robustness.comparison",

@@ -13,6 +13,7 @@ from qsmc_jax.campaign.engines import AbstractEngine, Task, Threads
 from qsmc_jax.campaign.folder import FILE_RUNS, RunFolder, Session
 from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.runs import Runs, concatenate
+from qsmc_jax.study.sampling import require_independent
 from qsmc_jax.verification.accumulate import Cost, VerificationAccumulator, check_request
 from qsmc_jax.verification.result import Verification
 from qsmc_jax.verification.stopping import AbstractRule, decision_of
@@ -113,6 +114,7 @@ def run_campaign(
         HELD in all 64 admissible runs: the probability of leaving the funnel lies in [0, 0.056] with 95 % confidence.
     """
     check_request(runs, confidence, worst, until)
+    require_independent(config.design, "run_campaign")
     is_anytime = folder.ask_for(runs, until is not None)
     accumulator, session = VerificationAccumulator(config.study, worst), folder.begin_session(provenance or {})
     state, decision = "interrupted", None

@@ -9,13 +9,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from qsmc_jax.base.checks import require
+import jax
+import numpy as np
+
+from qsmc_jax.base.checks import require, require_kind
 from qsmc_jax.metrics.standard import USUAL
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import BatchSolver, block_size
 from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs, concatenate
-from qsmc_jax.study.sampling import Random
+from qsmc_jax.study.sampling import SAMPLINGS, AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study
 from qsmc_jax.study.windows import Planner
@@ -36,6 +39,8 @@ class CampaignConfig:
         block: Runs solved together, a multiple of 64; None for what suits the platform. The rows do not depend on it.
         threads: Blocks solved at the same time; None for one a core of a CPU.
         files: Hashes of what the study read when it was loaded, by name: to name what changed, no more.
+        sampling: Where the runs lie in the unit cube; None for `Random()`. Of another, rows can be solved, by
+            `work_shard`, and nothing concluded from them.
 
     Examples:
         Comments and layout of the file do not count:
@@ -56,9 +61,11 @@ class CampaignConfig:
     block: int | None = None
     threads: int | None = None
     files: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    sampling: AbstractSampling | None = None
 
     def __post_init__(self):
         BatchSolver(self.study, self.settings, block_size(self.block))  # checks them
+        require_kind("sampling", self.design, AbstractSampling, SAMPLINGS)
 
     @ft.cached_property
     def identity(self) -> dict[str, Any]:
@@ -80,6 +87,7 @@ class CampaignConfig:
             "atol": float(settings.atol),
             "precision": "float64",
             **({} if study.asked == USUAL else {"metrics": study.asked}),
+            **({} if isinstance(self.design, Random) else {"sampling": _told(self.design)}),
             **dict(settings.choices),
         }
         return json.loads(json.dumps(identity))
@@ -88,7 +96,12 @@ class CampaignConfig:
     def planner(self) -> Planner:
         """What the blocks so far taught of the cost of a run; compiles on first use."""
         self.solver.compile_nominal()
-        return Planner(self.solver, self.seed, Random())
+        return Planner(self.solver, self.seed, self.design)
+
+    @property
+    def design(self) -> AbstractSampling:
+        """Where the runs lie in the unit cube."""
+        return self.sampling or Random()
 
     @property
     def solver(self) -> BatchSolver:
@@ -98,7 +111,8 @@ class CampaignConfig:
     @property
     def stream(self) -> Callable[..., Iterator[Runs]]:
         """`stream` of the study, to be called with indices, `settings` and `block`."""
-        return ft.partial(stream, self.study, seed=self.seed, block=self.block, threads=self.threads)
+        how = {"sampling": self.design, "block": self.block, "threads": self.threads}
+        return ft.partial(stream, self.study, seed=self.seed, **how)
 
     def solve(self, runs: Sequence[int], progress: Progress | None = None) -> "Solved":
         """Solves and decides runs; not by two threads at once.
@@ -147,6 +161,12 @@ def code_hash(source: bytes) -> str:
     except (SyntaxError, ValueError):
         code = source
     return hashlib.sha256(code).hexdigest()
+
+
+def _told(sampling: AbstractSampling) -> list[str]:
+    """A design, and a hash of each array in it."""
+    arrays = (np.ascontiguousarray(leaf).tobytes() for leaf in jax.tree.leaves(sampling))
+    return [repr(sampling), *(hashlib.sha256(each).hexdigest()[:16] for each in arrays)]
 
 
 def fingerprint(identity: dict[str, Any]) -> str:

@@ -104,6 +104,7 @@ class Dask(AbstractEngine):
         # A worker's own threads take a task each: one thread a task, unless more are asked for.
         options = {
             "seed": config.seed,
+            "sampling": config.sampling,
             "settings": config.settings,
             "block": config.block,
             "threads": config.threads or 1,

@@ -102,7 +102,7 @@ def _is_decided_alike(found: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
 
 
 def _solved(config: CampaignConfig, row: dict[str, Any], settings: SolverSettings) -> Trajectory:
-    return config.study.replay(row["index"], config.seed, settings=settings)
+    return config.study.replay(row["index"], config.seed, sampling=config.design, settings=settings)
 
 
 def _row(folder: RunFolder, index: int) -> dict[str, Any]:

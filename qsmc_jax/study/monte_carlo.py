@@ -10,7 +10,7 @@ from qsmc_jax.base.checks import require_count, require_kind
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import BatchSolver, block_size, thread_count
 from qsmc_jax.study.runs import Runs, concatenate
-from qsmc_jax.study.sampling import AbstractSampling, Random
+from qsmc_jax.study.sampling import SAMPLINGS, AbstractSampling, Random
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import HINT, Study, require_study
 from qsmc_jax.study.windows import Piece, Planner, reassembled
@@ -38,7 +38,7 @@ def monte_carlo(
         study: The study.
         runs: How many, at least 1. Their indices are 0 ... runs - 1.
         seed: Seed, 0 <= seed < 2**63.
-        sampling: Where the runs lie in the unit cube: `Random()` (None), `Sobol()` or `LatinHypercube(runs)`.
+        sampling: Where the runs lie in the cube: `Random()` (None), `Sobol()`, `LatinHypercube(runs)`, `Table(rows)`.
         settings: Method and tolerances; None for the defaults.
         block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
         threads: Blocks solved at the same time; None for one a core of a CPU.
@@ -114,9 +114,7 @@ def stream(
     block = block_size(block)
     solver = BatchSolver(study, settings or SolverSettings(), block)
     sampling = sampling or Random()
-    require_kind(
-        "sampling", sampling, AbstractSampling, "Use `qj.Random()`, `qj.LatinHypercube(runs)` or `qj.Sobol()`."
-    )
+    require_kind("sampling", sampling, AbstractSampling, SAMPLINGS)
     threads = thread_count(threads)
     planner = planner or Planner(solver, seed, sampling)
     done, solved = 0, []

@@ -16,8 +16,9 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 
-from qsmc_jax.base.checks import is_whole, require, require_count
-from qsmc_jax.base.module import AbstractModule
+from qsmc_jax.base.checks import is_whole, require, require_count, show
+from qsmc_jax.base.errors import InputError
+from qsmc_jax.base.module import AbstractModule, float_field, require_fields
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.tracing.platforms import platform
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 Indices: TypeAlias = Sequence[int] | np.ndarray
 
+# What to use where something else is given.
+SAMPLINGS = "Use `qj.Random()`, `qj.Sobol()`, `qj.LatinHypercube(runs)` or `qj.Table(rows)`."
 _BLOCK = 1024  # points made together at the least
 _HALF_CELL = 2.0**-53  # `jr.uniform` gives multiples of 2**-52; their cells' midpoints lie in the open interval
 _SOBOL_BITS = 32  # SciPy's `fast_forward` fails for more
@@ -147,6 +150,59 @@ class LatinHypercube(AbstractSampling):
     def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
         wanted = _checked_indices(seed, indices, self.runs)
         return _latin_hypercube(seed, self.runs, dim)[wanted]
+
+
+class Table(AbstractSampling):
+    """Points of your own: run i is row i. See `table_of` for a design in physical values.
+
+    The rows are what SALib, OpenTURNS or `scipy.stats.qmc` give, a column for each number that the study draws, in
+    order of appearance. How they were made is not known here, so no exact interval holds, random or not.
+
+    Attributes:
+        rows: The points, strictly between 0 and 1.
+
+    Examples:
+        >>> import scipy.stats
+        >>> import qsmc_jax as qj
+        >>> halton = scipy.stats.qmc.Halton(2, rng=0).random(64)
+        >>> design = qj.Table(halton)
+        >>> len(design), bool((design.points(0, [17], 2) == halton[17]).all())
+        (64, True)
+
+    Raises:
+        InputError: The rows are no matrix, or have a number that is not strictly between 0 and 1.
+    """
+
+    rows: Float[np.ndarray, "runs dim"] = float_field()
+
+    is_independent: ClassVar[bool] = False
+    why_not: ClassVar[str] = (
+        "whether the rows of a `Table` are independent is not known, so no exact interval holds: solve them by "
+        "`monte_carlo` and count; use `Random()` for a certificate."
+    )
+
+    def __check_init__(self):
+        require_fields(self)
+        outside = np.argwhere(~((self.rows > 0.0) & (self.rows < 1.0)))
+        if len(outside):
+            row, column = outside[0]
+            raise InputError(
+                "Argument `rows` must lie strictly between 0 and 1, where every distribution is finite, but row "
+                f"{row}, column {column} is {show(self.rows[row, column])}. Scramble the design."
+            )
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def points(self, seed: int, indices: Indices, dim: int) -> Float[np.ndarray, "runs dim"]:
+        columns = self.rows.shape[1]
+        require(dim == columns, f"Argument `rows` must have {dim} columns, as the study draws, but has {columns}.")
+        return self.rows[_checked_indices(seed, indices, len(self.rows))]
+
+
+def require_independent(sampling: AbstractSampling, purpose: str) -> None:
+    """Raises unless exact intervals hold for a design."""
+    require(sampling.is_independent, f"Argument `sampling` must be independent for `{purpose}`: {sampling.why_not}")
 
 
 @eqx.filter_jit

@@ -4,12 +4,11 @@ import functools as ft
 import time
 from collections.abc import Callable
 
-from qsmc_jax.base.checks import require
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import BatchSolver, block_size, thread_count
 from qsmc_jax.study.monte_carlo import Progress, stream
 from qsmc_jax.study.runs import Runs
-from qsmc_jax.study.sampling import AbstractSampling, Random, require_seed
+from qsmc_jax.study.sampling import AbstractSampling, Random, require_independent, require_seed
 from qsmc_jax.study.schedule import Workload
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.accumulate import Cost, VerificationAccumulator, check_request
@@ -50,7 +49,7 @@ def verify(
         seed: Seed, 0 <= seed < 2**63. Use a fresh one for a certificate of tuned gains.
         confidence: Confidence of each interval, strictly between 0 and 1.
         worst: How many of the worst runs to report, at least 1.
-        sampling: `Random()` (None). Designs whose points are not independent are refused.
+        sampling: `Random()` (None). Designs whose points are not independent are refused, a `Table` too.
         settings: Method and tolerances of the first solve; None for the defaults.
         block: Runs solved together, a multiple of 64; None for what suits the platform, on CPUs 512.
         threads: Blocks solved at the same time; None for one a core of a CPU.
@@ -78,7 +77,7 @@ def verify(
     require_seed(seed)
     threads, block = thread_count(threads), block_size(block)
     settings, sampling = settings or SolverSettings(), sampling or Random()
-    require(sampling.is_independent, f"Argument `sampling` must be independent for `verify`: {sampling.why_not}")
+    require_independent(sampling, "verify")
     solve = ft.partial(stream, study, seed=seed, sampling=sampling, block=block, threads=threads)
     solver = BatchSolver(study, settings, block)
     workload, accumulator, tiers = Workload(), VerificationAccumulator(study, worst), Tiers.of(study, settings)
