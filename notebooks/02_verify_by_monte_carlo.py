@@ -40,12 +40,13 @@ small = bool(os.environ.get("QSMC_SMOKE"))
 # ## A scenario
 #
 # A scenario is a function from named random numbers to one run: a loop, a start, a horizon [s]. `draw.uniform("mass",
-# ...)` draws, `draw.parameter("mu", ...)` stays at its default until somebody substitutes it. Here Example 1 of the
+# ...)` draws, as `lognormal`, `beta`, `from_scipy`, `empirical` and others do (see `help(qj.Draw)`);
+# `draw.parameter("mu", ...)` stays at its default until somebody substitutes it. Here Example 1 of the
 # paper has a pendulum that is known to 20 % only, a random disturbance with $|d| \le 0.5$ rad/s², and a random start.
 
 
 # %%
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """Example 1 with everything uncertain."""
     plant = qj.plants.InvertedPendulum(
         mass=draw.uniform("mass", 0.008, 0.012),

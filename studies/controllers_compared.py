@@ -55,7 +55,7 @@ RULES: dict[str, Maker] = {
 def study(make: Maker) -> qj.Study:
     """The study of one controller."""
 
-    def scenario(draw: Any) -> qj.Scenario:
+    def scenario(draw: qj.Draw) -> qj.Scenario:
         control = make(qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05)))
         plant = qj.plants.InvertedPendulum(mass=draw.uniform("mass", *MASSES))
         disturbance = qj.disturbances.random_sine(draw, "d", bound=0.5, frequencies=(0.1, 2.0))

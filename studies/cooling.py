@@ -31,7 +31,7 @@ class CooledReactor(qj.AbstractPlant):
         return -self.cooling * (1.0 + 0.02 * x[0] ** 2)
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """A reactor that should swing around 10 K above ambient."""
     plant = CooledReactor(
         heat=draw.uniform("heat", 1.5, 2.5),

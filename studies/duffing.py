@@ -33,7 +33,7 @@ class Duffing(qj.AbstractPlant):
         return self.input_gain
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """An oscillator at rest near a well, told to move to the other one."""
     plant = Duffing(
         damping=draw.uniform("damping", 0.1, 0.3),

@@ -15,12 +15,10 @@ Time: half a minute a map on two cores, such as
     qsmc critical studies/example1_implemented.py --name sample_period --below 1e-2 --between 2e-3:0.3
 """
 
-from typing import Any
-
 import qsmc_jax as qj
 
 
-def scenario(draw: Any) -> qj.Scenario:
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """Distributions as in example1_uncertain.py; 5 s are three times the reaching time."""
     plant = qj.plants.InvertedPendulum(
         mass=draw.uniform("mass", 0.008, 0.012),

@@ -11,12 +11,10 @@ Time: half a minute on two cores for the search and its pictures:
     qsmc verify studies/example1_tuned.py -S @results/tuned1 --seed 12345
 """
 
-from typing import Any
-
 import qsmc_jax as qj
 
 
-def scenario(draw: Any) -> qj.Scenario:
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """Example 1 with plant, disturbance, start and noise uncertain."""
     plant = qj.plants.InvertedPendulum(
         mass=draw.uniform("mass", 0.008, 0.012),

@@ -8,7 +8,7 @@ Time: 10 000 runs in a second or two on two cores, after some 5 s of compilation
 import qsmc_jax as qj
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """A pendulum, its disturbance, its start, and gains that `-S mu=...` and `-S rho_inf=...` can set."""
     plant = qj.plants.InvertedPendulum(
         mass=draw.uniform("mass", 0.008, 0.012),

@@ -14,12 +14,11 @@ Time: two minutes a map on two cores, such as
 """
 
 import math
-from typing import Any
 
 import qsmc_jax as qj
 
 
-def scenario(draw: Any) -> qj.Scenario:
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """Distributions as in example2_uncertain.py; 6 s are four times the reaching time."""
     plant = qj.plants.FourthOrderExample(
         drift_scale=draw.uniform("drift_scale", 0.8, 1.2), gain_scale=draw.uniform("gain_scale", 0.8, 1.2)

@@ -10,12 +10,11 @@ Time: a minute on two cores for the search and its pictures:
 """
 
 import math
-from typing import Any
 
 import qsmc_jax as qj
 
 
-def scenario(draw: Any) -> qj.Scenario:
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """Example 2 with plant, disturbance, start and noise uncertain; 3 s are twice the reaching time."""
     plant = qj.plants.FourthOrderExample(
         drift_scale=draw.uniform("drift_scale", 0.8, 1.2), gain_scale=draw.uniform("gain_scale", 0.8, 1.2)

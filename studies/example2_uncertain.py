@@ -10,7 +10,7 @@ import math
 import qsmc_jax as qj
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """A plant, a random telegraph signal on top of sines, a start, and gains drawn around the paper's."""
     plant = qj.plants.FourthOrderExample(
         drift_scale=draw.uniform("drift_scale", 0.8, 1.2), gain_scale=draw.uniform("gain_scale", 0.8, 1.2)

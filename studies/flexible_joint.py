@@ -54,7 +54,7 @@ class FlexibleJoint(qj.AbstractStateSpace):
         return self.motor * self.gear / (self.resistance * self.hub)
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """A link that should swing by half a radian, from rest."""
     plant = FlexibleJoint(
         stiffness=draw.uniform("stiffness", 1.3, 1.9),

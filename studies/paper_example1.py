@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import qsmc_jax as qj
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """One of the paper's four starts, both states alike."""
     start = draw.choice("start", qj.paper.STARTS[1])
     return qj.Scenario(qj.paper.example1(), x0=jnp.full(2, start), t1=qj.paper.HORIZON)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import qsmc_jax as qj
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """One of the paper's three starts, all states alike."""
     start = draw.choice("start", qj.paper.STARTS[2])
     return qj.Scenario(qj.paper.example2(), x0=jnp.full(4, start), t1=qj.paper.HORIZON)

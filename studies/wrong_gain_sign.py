@@ -8,7 +8,7 @@ Time: seconds.
 import qsmc_jax as qj
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """Example 1 with the wrong sign."""
     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05), gain_sign=-1)
     disturbance = qj.disturbances.random_sine(draw, "d", bound=0.5)

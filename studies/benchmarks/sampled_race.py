@@ -9,7 +9,6 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import sampled_numpy
@@ -17,7 +16,7 @@ import sampled_numpy
 import qsmc_jax as qj
 
 
-def scenario(draw: Any) -> qj.Scenario:
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """Example 1 as the NumPy program has it."""
     paper = qj.paper.example1()
     plant = qj.plants.InvertedPendulum(mass=draw.uniform("mass", 0.008, 0.012))

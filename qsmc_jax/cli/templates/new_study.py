@@ -38,7 +38,7 @@ class MyPlant(qj.AbstractPlant):
         return 1.0 / self.mass
 
 
-def scenario(draw):
+def scenario(draw: qj.Draw) -> qj.Scenario:
     """One run. Names that are drawn become columns of the result; `parameter`s are the same in every run."""
     plant = MyPlant(
         mass=draw.uniform("mass", 0.8, 1.2),
