@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from qsmc_jax.model import smoothed as smoothed
     from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
+    from qsmc_jax.model.recording import Recording as Recording
     from qsmc_jax.model.references import AbstractReference as AbstractReference
     from qsmc_jax.model.state_space import AbstractStateSpace as AbstractStateSpace
     from qsmc_jax.report.saved import load as load
@@ -99,6 +100,7 @@ _HOMES = {
     "AbstractDisturbance": "qsmc_jax.model.disturbances",
     "AbstractPlant": "qsmc_jax.model.plants",
     "AbstractStateSpace": "qsmc_jax.model.state_space",
+    "Recording": "qsmc_jax.model.recording",
     "AbstractReference": "qsmc_jax.model.references",
     "Metrics": "qsmc_jax.metrics.standard",
     "always": "qsmc_jax.metrics.requirements",

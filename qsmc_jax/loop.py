@@ -15,7 +15,7 @@ from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
 from qsmc_jax.model.plants import AbstractPlant
-from qsmc_jax.model.references import AbstractReference
+from qsmc_jax.model.references import AbstractReference, Recorded
 from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
@@ -100,6 +100,8 @@ class ClosedLoop(AbstractModule):
             f"has {has - 1}. `SlidingSurface.binomial(a, {order})` makes a fitting one.",
         )
         _require_derivatives((self.reference, order))
+        if isinstance(self.reference, Recorded):
+            self.reference.check_order(order)
         require(
             self.implementation is not None or (self.control.is_smooth and len(self.control.first_memory()) == 0),
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches or "
@@ -329,8 +331,13 @@ class ClosedLoop(AbstractModule):
     @property
     def break_times(self) -> Float[Array, " breaks"]:
         """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
+        return jnp.concatenate(self.breaks_by_part)
+
+    @property
+    def breaks_by_part(self) -> list[Array]:
+        """The same for each of its parts."""
         parts = [self.plant, self.reference, self.disturbance, self.control.funnel, self.implementation]
-        return jnp.concatenate([as_times(part.break_times) for part in parts if part is not None])
+        return [as_times(part.break_times) for part in parts if part is not None]
 
 
 @once_per_structure

@@ -84,6 +84,18 @@ def branch(t):
 
 INSTEAD = "must be written with `jax.numpy`, not `numpy` or `math`, with `jnp.where` in place of a Python `if`"
 MISTAKES = {
+    "unknown kind of recording": (
+        lambda: qj.Recording([0.0, 1.0], [0.0, 1.0], kind="spline"),
+        r"`kind` must be one of \['hold', 'linear', 'pchip', 'cubic'\], but is 'spline'",
+    ),
+    "recording that repeats": (
+        lambda: qj.Recording([0.0, 1.0], [0.0, 1.0], beyond="repeat"),
+        r"`beyond` must be one of \['refuse', 'hold'\], but is 'repeat'",
+    ),
+    "numbers as a recording": (
+        lambda: qj.disturbances.Recorded([0.0, 1.0]),
+        r"`recording` of `Recorded` must be of class `Recording`, .*`qj.Recording\(times, values\)`",
+    ),
     "plant in numpy": (lambda: plant(drift=lambda self, t, x: -np.sin(x[0])), f"`drift` of `Mine` {INSTEAD}"),
     "plant in math": (lambda: plant(drift=lambda self, t, x: -math.sin(x[0])), f"`drift` of `Mine` {INSTEAD}"),
     "plant with if": (

@@ -10,9 +10,9 @@ import numpy as np
 from qsmc_jax.base.checks import is_traced, require, show
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.model.kinks import as_times
-from qsmc_jax.model.references import AbstractReference, Constant, Smooth, SumOfSines
+from qsmc_jax.model.references import AbstractReference, Constant, Recorded, Smooth, SumOfSines
 
-_EXACT = (Constant, SumOfSines, Smooth)  # by their formulas
+_EXACT = (Constant, Recorded, SumOfSines, Smooth)  # by their formulas
 _TIMES = 512  # at most half of them one for each piece
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 # Formulas that differ by rounding agree to far more digits; numbers rounded by hand, such as 3.14, to fewer.

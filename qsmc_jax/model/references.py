@@ -9,10 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_finite, require_shape
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.model.derivatives import time_derivatives
+from qsmc_jax.model.kinks import as_times
+from qsmc_jax.model.recording import Recording
 from qsmc_jax.model.smooth import require_smooth
 
 
@@ -173,3 +176,50 @@ class Smooth(AbstractReference):
 
     def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:
         return time_derivatives(self.fn, t, order)
+
+
+class Recorded(AbstractReference):
+    r"""A recorded reference, with as many derivatives as what is between its samples has.
+
+    The errors of a plant of order n are measured against $x_{des}, \dots, x_{des}^{(n-1)}$, which must be continuous;
+    $x_{des}^{(n)}$ may jump at samples, to which the solver steps. So lines do for n = 1, `"pchip"` for n = 2,
+    `"cubic"` for n = 3; held samples, which jump, for none. One that holds beyond its record has a kink at its end, and
+    does for n = 1. Sensor noise shows in derivatives: smooth a recording before it becomes a reference.
+
+    Attributes:
+        recording: The recording. A horizon beyond its end is refused, unless it holds its last sample.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> path = qj.references.Recorded(qj.Recording([0.0, 1.0, 3.0], [0.0, 2.0, 4.0], kind="linear"))
+        >>> [[float(value) for value in path.derivatives(t, 1)] for t in (0.5, 1.0)]
+        [[1.0, 2.0], [2.0, 1.0]]
+    """
+
+    recording: Recording
+
+    @property
+    def break_times(self) -> Float[Array, " breaks"]:
+        return as_times(self.recording.times)
+
+    def derivatives(self, t: RealScalarLike, order: int) -> tuple[RealScalarLike, ...]:
+        return self.recording.derivatives(t, order)
+
+    def check_order(self, order: int) -> None:
+        """Raises `InputError` unless it does for a plant of order n.
+
+        Args:
+            order: The order n.
+        """
+        kind, has = self.recording.kind, self.recording.smoothness
+        if has >= order - 1:
+            return
+        counted = "jumps" if has < 0 else f"has {has} continuous derivative{'' if has == 1 else 's'}"
+        remedies = {1: 'Give `kind="linear"`', 2: 'Give `kind="pchip"`', 3: 'Give `kind="cubic"`'}
+        remedy = remedies.get(order, "Fit a smooth function to it, `qj.references.Smooth(fn)`")
+        if order in (2, 3) and self.recording.beyond == "hold":
+            remedy += ' and `beyond="refuse"`, for where it begins to hold it kinks'
+        raise InputError(
+            f"Argument `reference` must have {order - 1} continuous derivatives for a plant of order {order}, but a "
+            f"recording of kind {kind!r}, beyond={self.recording.beyond!r}, {counted}. {remedy}."
+        )

@@ -17,6 +17,7 @@ from qsmc_jax.model.disturbances import (
     BandLimitedNoise,
     Constant,
     Piecewise,
+    Recorded,
     Scaled,
     Sine,
     SmoothSteps,
@@ -26,6 +27,7 @@ from qsmc_jax.model.disturbances import (
     Zero,
 )
 from qsmc_jax.model.plants import AbstractPlant, FourthOrderExample, InvertedPendulum
+from qsmc_jax.model.recording import Recording
 from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.model.state_space import AbstractStateSpace
 
@@ -77,6 +79,11 @@ def _(signal: SmoothSteps, step: Step) -> Unseen:
 
 
 @unseen_in_signal.register
+def _(signal: Recorded, step: Step) -> Unseen:
+    return _between_samples(signal.recording, 0, step)
+
+
+@unseen_in_signal.register
 def _(signal: Sum, step: Step) -> Unseen:
     return joined([unseen_in_signal(term, step) for term in signal.terms])
 
@@ -110,9 +117,14 @@ def _(reference: references.SumOfSines, order: int, step: Step) -> Unseen:
     return _amount(jnp.minimum(waves, 2.0 * jnp.sum(sizes)))
 
 
+@unseen_in_reference.register
+def _(reference: references.Recorded, order: int, step: Step) -> Unseen:
+    return _between_samples(reference.recording, order, step)
+
+
 def is_consistent(reference: AbstractReference) -> bool:
     """Whether a reference is continuous and its derivatives are its own by construction."""
-    return isinstance(reference, references.Constant | references.SumOfSines)
+    return isinstance(reference, references.Constant | references.SumOfSines | references.Recorded)
 
 
 @ft.singledispatch
@@ -144,6 +156,12 @@ def is_own(signal: AbstractDisturbance) -> bool:
     inner = [part for part in parts if isinstance(part, AbstractDisturbance)]
     is_closed = unseen_in_signal.dispatch(type(signal)) is not unseen_in_signal.dispatch(object)
     return is_closed and all(map(is_own, inner))
+
+
+def _between_samples(recording: Recording, order: int, step: Step) -> Unseen:
+    """A polynomial between samples, at which steps end."""
+    is_shown = recording.degree - order < step.nodes.order
+    return _amount(0.0 if is_shown else step.beyond_polynomial(lambda m: recording.steepest(order + m)))
 
 
 def joined(parts: list[Unseen]) -> Unseen:

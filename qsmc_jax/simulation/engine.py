@@ -15,13 +15,15 @@ from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.standard import Metrics
+from qsmc_jax.model.recording import is_recorded
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.barrier import Barrier
+from qsmc_jax.simulation.break_times import break_times
 from qsmc_jax.simulation.ideal.accumulate import first_metrics
 from qsmc_jax.simulation.ideal.guarded_solver import GuardedSolver, Run
 from qsmc_jax.simulation.ideal.lifted import named_coordinates
 from qsmc_jax.simulation.ideal.read import FinalState, read_metrics
-from qsmc_jax.simulation.ideal.step_size import StepSize, singly
+from qsmc_jax.simulation.ideal.step_size import SAME_TIME, StepSize
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.problem import Problem
 from qsmc_jax.simulation.sampled.loop import run_sampled
@@ -107,6 +109,7 @@ def _solve_sampled(
 ) -> tuple[Metrics, tuple[Array, ...] | None]:
     horizon, implementation = jnp.asarray(t1), cast(Implementation, problem.loop.implementation)
     is_fit = problem.loop.control.is_valid() & implementation.is_valid(horizon) & is_drawn_well
+    is_fit = is_fit & is_recorded(problem.loop, horizon)
     refused = jnp.where(is_fit, int(Outcome.COMPLETED), int(Outcome.BAD_PARAMETERS))
     state = run_sampled(problem, implementation, tuple(x0), horizon, is_fit, settings, ts)
     saved = None if state.saved is None else (*state.saved.x, state.saved.u)
@@ -121,7 +124,7 @@ def _solve_ideal(
     ts: Float[Array, " times"] | None,
     is_drawn_well: BoolScalarLike,
 ) -> tuple[Metrics, tuple[Array, ...] | None]:
-    refused = _refusal(problem, x0, is_drawn_well)
+    refused = _refusal(problem, x0, is_drawn_well & is_recorded(problem.loop, t1))
     is_admitted = refused == Outcome.COMPLETED
     horizon = jnp.asarray(t1)
     # A refused run is given no time: it takes no step, and holds up nobody in its block.
@@ -140,7 +143,9 @@ def _solve_ideal(
         y0=run0,
         args=problem,
         saveat=_saveat(times),
-        stepsize_controller=StepSize(singly(problem.break_times), _first_step(problem, x0, run0, horizon)),
+        stepsize_controller=StepSize(
+            break_times(problem.break_times, problem.barrier, SAME_TIME), _first_step(problem, x0, run0, horizon)
+        ),
         max_steps=settings.max_steps,
         adjoint=dfx.ForwardMode() if settings.adjoint == "forward" else dfx.RecursiveCheckpointAdjoint(CHECKPOINTS),
         throw=False,

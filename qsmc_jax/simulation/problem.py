@@ -6,7 +6,7 @@ from collections.abc import Hashable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
@@ -44,8 +44,8 @@ class Problem(AbstractModule):
     measures: tuple[AbstractMeasure, ...] = eqx.field(static=True, default=())
 
     @property
-    def break_times(self) -> Float[Array, " breaks"]:
-        """Times [s] that steps must not cross: where the loop jumps, and where windows begin and end."""
+    def break_times(self) -> list[Array]:
+        """Times [s] that steps must not cross: where parts of the loop jump, and where windows begin and end."""
         parts = it.chain.from_iterable(each.parts for each in self.measures)
         ends = {end for part in parts for end in (part.after, part.before)} - {0.0, math.inf}
-        return jnp.concatenate([self.loop.break_times, jnp.array(sorted(ends))]) if ends else self.loop.break_times
+        return [*self.loop.breaks_by_part, jnp.array(sorted(ends), float)]

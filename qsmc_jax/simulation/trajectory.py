@@ -22,6 +22,7 @@ from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.model.consistency import require_consistent
+from qsmc_jax.model.recording import require_recorded
 from qsmc_jax.model.state_jumps import require_no_state_jumps
 from qsmc_jax.model.state_space import AbstractStateSpace, require_relative_degree
 from qsmc_jax.simulation.contents import brought
@@ -292,6 +293,7 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     require_positive("t1", t1)
     if loop.implementation is not None:
         loop.implementation.check(loop.order, t1)
+    require_recorded(loop, t1)
     require_consistent(loop.reference, loop.order, t1)
 
 

@@ -64,7 +64,7 @@ def own_methods(cls):
 
 def overridden(cls):
     """The implemented methods of its bases that a class implements again."""
-    may_repeat = {"__init__", "__check_init__"}
+    may_repeat = {"__init__", "__check_init__", "break_times"}  # the last has a default, since most have none
     implemented = {
         name
         for base in cls.__mro__[1:]

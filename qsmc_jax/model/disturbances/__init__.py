@@ -10,6 +10,7 @@ from qsmc_jax.model.disturbances.random import random_sine as random_sine
 from qsmc_jax.model.disturbances.random import random_sines as random_sines
 from qsmc_jax.model.disturbances.random import random_steps as random_steps
 from qsmc_jax.model.disturbances.random import random_telegraph as random_telegraph
+from qsmc_jax.model.disturbances.recorded import Recorded as Recorded
 from qsmc_jax.model.disturbances.switching import Piecewise as Piecewise
 from qsmc_jax.model.disturbances.switching import SmoothSteps as SmoothSteps
 from qsmc_jax.model.disturbances.switching import Telegraph as Telegraph

@@ -1,7 +1,5 @@
 """The length of the steps: adaptive, on the error that the solver reports, ending where the loop breaks."""
 
-import functools as ft
-from collections.abc import Callable
 from typing import Any
 
 import diffrax as dfx
@@ -11,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.numerics.barrier import Barrier
+from qsmc_jax.simulation.break_times import BreakTimes, Cursor
 
 # By how much a step may shrink or grow from one to the next, and what is aimed for below the tolerance.
 _SHRINKS_BY, _GROWS_BY, _SAFETY = 0.2, 10.0, 0.9
@@ -21,9 +20,7 @@ _GRAINS = 1024.0
 # Part of a step by which it is stretched to end on a break rather than just before.
 _STRETCH = 1e-3
 # Break times closer than this, relative to themselves, are one and the same up to rounding.
-_SAME_TIME = 1e-13
-# Breaks that a program may hold one by one.
-_FEW = 64
+SAME_TIME = 1e-13
 # A step of so many units in the last place of time, relative to it, is the shortest.
 _SHORTEST = 8.0 * float(np.finfo(float).eps)
 # So is one of this part of the first, at time 0, where time itself resolves any.
@@ -38,14 +35,14 @@ class StepSize(dfx.AbstractStepSizeController):
     """PI control of errors in units of what is tolerated, with exponents 1/8 and -1/16 for this step and the last.
 
     Steps end just before a break, and the next begins just after it, whether the function jumps from the left or from
-    the right. The controller's state is the error of the last step kept.
+    the right. The controller's state is the error of the last step kept, and which breaks are still ahead.
 
     Attributes:
-        breaks: Break times [s], in any order; unused places hold `inf`. Made by `singly`.
+        breaks: Break times [s].
         first: Length of the first step [s].
     """
 
-    breaks: Scalars | Float[Array, " breaks"]
+    breaks: BreakTimes
     first: RealScalarLike
 
     def wrap(self, direction: Any) -> "StepSize":
@@ -61,8 +58,9 @@ class StepSize(dfx.AbstractStepSizeController):
         args: Any,
         func: Any,
         error_order: RealScalarLike | None,
-    ) -> tuple[RealScalarLike, RealScalarLike]:
-        return self._end(t0, self.first), jnp.ones(())
+    ) -> tuple[RealScalarLike, tuple[RealScalarLike, Cursor]]:
+        cursor = self.breaks.start(t0)
+        return self._end(cursor, t0, self.first), (jnp.ones(()), cursor)
 
     def adapt_step_size(
         self,
@@ -73,52 +71,44 @@ class StepSize(dfx.AbstractStepSizeController):
         args: Any,
         y_error: Any,
         error_order: RealScalarLike,
-        controller_state: RealScalarLike,
+        controller_state: tuple[RealScalarLike, Cursor],
     ) -> tuple[Any, ...]:
         barrier: Barrier = args.barrier
         error = barrier(_root(jnp.maximum(y_error.local, y_error.hidden**_STEEPNESS)))
-        last = controller_state
+        last, cursor = controller_state
         is_kept = error < 1.0
         factor = _SAFETY * last / jnp.maximum(error, 1e-30) ** 2
         low, high = jnp.where(is_kept, 1.0, _SHRINKS_BY), jnp.where(is_kept, _GROWS_BY, _SAFETY)
         factor = eqxi.nondifferentiable(jnp.clip(factor, low, high))
-        start, made_jump = self._start(jnp.where(is_kept, t1, t0), is_kept)
+        start, made_jump = self._start(cursor, jnp.where(is_kept, t1, t0), is_kept)
         start = barrier(start)
+        cursor = self.breaks.moved(cursor, start)
         # An error of zero says nothing of how the next step should be.
         told = jnp.where(is_kept & (error > 0.0), error, jnp.where(is_kept, 1.0, last))
         # A step that is refused though time resolves none much shorter is the last one.
         is_last = ~is_kept & (t1 - t0 <= jnp.maximum(_SHORTEST * jnp.abs(t1), _LEAST * self.first))
         cause = dfx.RESULTS.where(y_error.local < 1.0, UNRESOLVED, dfx.RESULTS.dt_min_reached)
         result = dfx.RESULTS.where(is_last, cause, dfx.RESULTS.successful)
-        return is_kept, start, barrier(self._end(start, (t1 - t0) * factor)), made_jump, told, result
+        end = barrier(self._end(cursor, start, (t1 - t0) * factor))
+        return is_kept, start, end, made_jump, (told, cursor), result
 
-    def _start(self, t: RealScalarLike, is_kept: BoolScalarLike) -> tuple[RealScalarLike, Any]:
+    def _start(self, cursor: Cursor, t: RealScalarLike, is_kept: BoolScalarLike) -> tuple[RealScalarLike, Any]:
         """Where a step begins that follows one which ended at `t`: past a break that ended it."""
-        if len(self.breaks) == 0:
+        if self.breaks.is_empty:
             return t, False
         reached = eqxi.nextafter(t)
-        nearly = reached + _SAME_TIME * jnp.abs(reached)
-        ends_here = is_kept & self._folded(jnp.logical_or, lambda b: b == reached)
-        last = self._folded(jnp.maximum, lambda b: jnp.where(b <= nearly, b, -jnp.inf))
+        nearly = reached + SAME_TIME * jnp.abs(reached)
+        ends_here, last = is_kept & self.breaks.has(cursor, reached), self.breaks.until(cursor, nearly)
         return jnp.where(ends_here, eqxi.nextafter(jnp.where(ends_here, last, 0.0)), t), ends_here
 
-    def _end(self, start: RealScalarLike, length: RealScalarLike) -> RealScalarLike:
+    def _end(self, cursor: Cursor, start: RealScalarLike, length: RealScalarLike) -> RealScalarLike:
         """Where a step ends that should have a certain length: before the next break at the latest."""
         end = jnp.maximum(start + length, eqxi.nextafter(start))
-        if len(self.breaks) == 0:
+        if self.breaks.is_empty:
             return end
-        ahead = self._folded(jnp.minimum, lambda b: jnp.where(b > start, b, jnp.inf))
+        ahead = self.breaks.after(cursor, start)
         is_cut = end + _STRETCH * length >= ahead
         return jnp.where(is_cut, eqxi.prevbefore(jnp.where(is_cut, ahead, 0.0)), end)
-
-    def _folded(self, two: Any, of: Callable[[Any], Any]) -> Any:
-        """`two`, a ufunc, over all of `of(break)`."""
-        return ft.reduce(two, map(of, self.breaks)) if isinstance(self.breaks, tuple) else two.reduce(of(self.breaks))
-
-
-def singly(break_times: Float[Array, " breaks"]) -> Scalars | Float[Array, " breaks"]:
-    """Break times one by one if they are few: a batch then goes through them in vectors, unlike a reduction."""
-    return tuple(break_times) if len(break_times) <= _FEW else break_times
 
 
 def _root(error: RealScalarLike) -> Float[Array, ""]:

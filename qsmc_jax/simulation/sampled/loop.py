@@ -21,6 +21,7 @@ from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.hermite import cubics
 from qsmc_jax.numerics.lockstep import any_lane
+from qsmc_jax.simulation.break_times import BreakTimes, Cursor, break_times
 from qsmc_jax.simulation.guard import Path, hidden_in_cell
 from qsmc_jax.simulation.problem import Problem
 from qsmc_jax.simulation.sampled.accumulate import (
@@ -65,6 +66,7 @@ class LoopState(AbstractModule):
         computer: The controller's side.
         step: Length [s] of the longest cell that the tolerance allows, as far as is known.
         steps: Cells tried so far.
+        cursor: Which breaks are still ahead.
         is_running: Whether the run goes on.
         first_ratio: |z| at the start, z where in the funnel the sliding variable is.
         cells: Metrics of the plant.
@@ -77,6 +79,7 @@ class LoopState(AbstractModule):
     computer: Computer
     step: RealScalarLike
     steps: RealScalarLike
+    cursor: Cursor
     is_running: Bool[Array, ""]
     first_ratio: RealScalarLike
     cells: RunningCellMetrics
@@ -100,7 +103,7 @@ class LoopConstants(AbstractModule):
     problem: Problem
     implementation: Implementation
     horizon: RealScalarLike
-    breaks: Float[Array, " breaks"]
+    breaks: BreakTimes
     cutoff: RealScalarLike
     rtol: RealScalarLike
     max_steps: int
@@ -143,6 +146,7 @@ def run_sampled(
         computer=computer,
         step=_FIRST_STEP * horizon,
         steps=zero,
+        cursor=constants.breaks.start(zero),
         is_running=jnp.asarray(is_admitted),
         first_ratio=jnp.abs(start.ratio),
         cells=first_cell_metrics(problem, start),
@@ -152,8 +156,7 @@ def run_sampled(
     start = first, any_lane(first.is_running)
     # The one kind of loop can be differentiated backwards, the other forwards; solving is the same.
     kind = "checkpointed" if settings.adjoint == "reverse" else "lax"
-    advance = ft.partial(_in_step, constants)
-    return eqxi.while_loop(_goes_on, advance, start, max_steps=settings.max_steps, kind=kind)[0]
+    return eqxi.while_loop(_goes_on, ft.partial(_in_step, constants), start, max_steps=settings.max_steps, kind=kind)[0]
 
 
 def _goes_on(carry: tuple[LoopState, BoolScalarLike]) -> BoolScalarLike:
@@ -170,12 +173,8 @@ def _constants(
     problem: Problem, implementation: Implementation, horizon: RealScalarLike, settings: SolverSettings
 ) -> LoopConstants:
     loop, funnel = problem.loop, problem.loop.control.funnel
-    # A cell ends just before a jump, and the next one, of no length, takes it.
     judged_from = jnp.stack([jnp.asarray(problem.reaching_time), jnp.asarray(problem.settling_time)])
-    breaks = jnp.concatenate([problem.break_times, judged_from])
-    fixed = jax.lax.stop_gradient(breaks)
-    just_before = jnp.where(jnp.isfinite(fixed), jnp.nextafter(fixed, -jnp.inf) - fixed, 0.0)
-    breaks = jnp.concatenate([breaks + just_before, breaks])
+    breaks = break_times([*problem.break_times, judged_from], problem.barrier)
     degree = loop.order - 1
     rate = funnel.rate
     if degree > 0:
@@ -196,7 +195,8 @@ def _advance(constants: LoopConstants, state: LoopState) -> LoopState:
     cells = add_cell(constants.problem, constants.cutoff, state.cells, cell)
     steps = state.steps + jnp.where(state.is_running, 1.0, 0.0)
     counted = dataclasses.replace(state, step=jnp.where(state.is_running, step, tried), steps=steps)
-    arrived = dataclasses.replace(counted, now=cell.right, actuator=actuator, cells=cells)
+    cursor = constants.breaks.moved(state.cursor, cell.right.t)
+    arrived = dataclasses.replace(counted, now=cell.right, actuator=actuator, cells=cells, cursor=cursor)
     has_event = is_good & (end >= event)
     happens = has_event & (captured <= event), has_event & (arrived_at <= event)
     return _judged(constants, _handle(constants, pytrees.where(is_good, arrived, counted), has_event, happens))
@@ -207,7 +207,7 @@ def _next_event(
 ) -> tuple[RealScalarLike, RealScalarLike]:
     """The time of the next event, and where the next cell ends: there, or at the end of one of equal parts."""
     t, event = state.now.t, jnp.minimum(constants.horizon, of_computer)
-    event = jnp.minimum(event, jnp.min(jnp.where(constants.breaks > t, constants.breaks, jnp.inf)))
+    event = jnp.minimum(event, constants.problem.barrier(constants.breaks.before_next(state.cursor, t)))
     if state.saved is not None:
         event = jnp.minimum(event, _save_time(state.saved))
     event = ft.reduce(jnp.minimum, _drive(constants, state).kinks(), event)
