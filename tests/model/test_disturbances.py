@@ -13,6 +13,7 @@ from scipy import integrate, stats
 
 from fake_draw import FakeDraw
 from qsmc_jax.model import disturbances as qd
+from qsmc_jax.model.recording import Recording
 
 PI = math.pi
 ROUNDING = 1e-12
@@ -65,6 +66,8 @@ ALL = {
     "noise": noise(),
     "sum": telegraph() + steps() - qd.Sine(1.0, 2.0),
     "scaled": -3.0 * telegraph(),
+    "held": qd.Recorded(Recording([0.0, 1.0, 2.5, 20.0], [0.5, -1.0, 0.25, 0.0], "hold", "hold")),
+    "spline": qd.Recorded(Recording([0.0, 1.0, 2.5, 20.0], [0.5, -1.0, 0.25, 0.0], "cubic", "hold")),
 }
 each = pytest.mark.parametrize("disturbance", ALL.values(), ids=ALL)
 

@@ -14,16 +14,16 @@ import qsmc_jax as qj
 from problems import chain
 from qsmc_jax.cli.main import app
 
-T1, SAMPLES, AT = 8.0, 4001, 2717
+T1, SAMPLES, AT = 0.08, 4001, 2717  # steps would be a thousand times as long as a sample
 TIMES = np.linspace(0.0, T1, SAMPLES)
 FUNNEL = qj.Funnel(4.0, 1.0, 0.05)
-IMPLEMENTED = qj.Implementation(sample_period=0.5)
+IMPLEMENTED = qj.Implementation(sample_period=0.03)
 SPACING = T1 / (SAMPLES - 1)
 
 
 ENGINES = pytest.mark.parametrize("implementation", [None, IMPLEMENTED], ids=["ideal", "implemented"])
 # Of the held samples of d, of those joined by lines, and of the reference.
-SPIKES = pytest.mark.parametrize("heights", [(1e3, 0, 0), (0, 1e3, 0), (0, 0, -1)], ids=["held", "lines", "reference"])
+SPIKES = pytest.mark.parametrize("heights", [(1e6, 0, 0), (0, 1e6, 0), (0, 0, -9)], ids=["held", "lines", "reference"])
 
 
 def spike(kind, height):
@@ -152,7 +152,7 @@ def test_runs_whose_drawn_horizon_lies_beyond_the_record_are_inadmissible():
 
 def test_the_record_belongs_to_the_identity_of_a_study():
     def contents(values):
-        recording = qj.Recording(TIMES, values, "hold")
+        recording = qj.Recording(10.0 * TIMES, values, "hold", "hold")
         loop = dataclasses.replace(short(), disturbance=qj.disturbances.Recorded(recording))
         return qj.Study(lambda draw: qj.Scenario(loop, [0.1], draw.uniform("t1", 1.0, 2.8)), bandwidth=0.1).contents
 
