@@ -15,7 +15,6 @@ from collections.abc import Callable
 import numpy as np
 
 import qsmc_jax as qj
-from qsmc_jax.base.types import Draw
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import BatchSolver
 from qsmc_jax.study.sampling import Random
@@ -39,7 +38,7 @@ def a_step(samples: int, kind: str, unevenness: float, implementation: qj.Implem
     control = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(rho0=4.0, mu=3.0, rho_inf=0.05))
     plant, reference = qj.plants.InvertedPendulum(), qj.references.SumOfSines([1.0], [1.0])
 
-    def scenario(draw: Draw) -> qj.Scenario:
+    def scenario(draw: qj.Draw) -> qj.Scenario:
         disturbance = draw.uniform("size", 0.1, 0.5) * qj.disturbances.Recorded(recording)
         loop = qj.ClosedLoop(plant, reference, disturbance, control, implementation)
         return qj.Scenario(loop, x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=T1)
