@@ -4,6 +4,7 @@ import functools as ft
 import importlib
 import math
 import operator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
@@ -148,14 +149,27 @@ class Recording(AbstractModule):
             t: Time [s].
             order: Highest derivative, not negative.
         """
-        times = jnp.asarray(self.times)
-        i = (place_on_grid if self.is_even else place)(times, t)
-        # Row by row, so that each is looked up in a table of its own.
-        piece = [jnp.asarray(row)[i] for row in self.coefficients]
-        values = _polynomial(piece, t - times[jnp.maximum(i - 1, 0)], order)
+        start, piece = self._piece(t)
+        values = _polynomial(piece, t - start, order)
         if self.beyond == "hold":
             return values
         return tuple(jnp.where(self._covers(t), value, jnp.nan) for value in values)
+
+    def piece(self, t: RealScalarLike) -> Callable[[RealScalarLike], RealScalarLike]:
+        """The polynomial that the signal is around a time: a function of little, right as far as the next samples.
+
+        Args:
+            t: Time [s].
+        """
+        start, piece = self._piece(t)
+        return lambda s: _polynomial(piece, s - start, 0)[0]
+
+    def _piece(self, t: RealScalarLike) -> tuple[Array, list[Array]]:
+        """The polynomial at time `t`: where it starts, and its coefficients."""
+        times = jnp.asarray(self.times)
+        i = (place_on_grid if self.is_even else place)(times, t)
+        # Row by row, so that each is looked up in a table of its own.
+        return times[jnp.maximum(i - 1, 0)], [jnp.asarray(row)[i] for row in self.coefficients]
 
     def covers(self, horizon: RealScalarLike) -> Bool[Array, ""]:
         """Whether it says what the signal is from the start of a run on.

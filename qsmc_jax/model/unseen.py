@@ -6,6 +6,7 @@ so in its `break_times`, at which steps end; between these it is smooth, and bou
 
 import functools as ft
 import math
+from collections.abc import Callable
 
 import jax.numpy as jnp
 
@@ -97,6 +98,34 @@ def _(signal: Scaled, step: Step) -> Unseen:
 @unseen_in_signal.register
 def _(signal: Piecewise, step: Step) -> Unseen:
     return joined([unseen_in_signal(piece, step) for piece in signal.pieces])
+
+
+@ft.singledispatch
+def within(signal: AbstractDisturbance, t: RealScalarLike) -> Callable[[RealScalarLike], RealScalarLike]:
+    """A disturbance as it is around a time, from one break time to the next: what is enclosed need not hold a record.
+
+    Args:
+        signal: The disturbance.
+        t: Time [s].
+    """
+    return signal
+
+
+@within.register
+def _(signal: Recorded, t: RealScalarLike) -> Callable[[RealScalarLike], RealScalarLike]:
+    return signal.recording.piece(t)
+
+
+@within.register
+def _(signal: Scaled, t: RealScalarLike) -> Callable[[RealScalarLike], RealScalarLike]:
+    inner = within(signal.disturbance, t)
+    return lambda s: signal.scale * inner(s)
+
+
+@within.register
+def _(signal: Sum, t: RealScalarLike) -> Callable[[RealScalarLike], RealScalarLike]:
+    parts = [within(term, t) for term in signal.terms]
+    return lambda s: sum(part(s) for part in parts)
 
 
 @ft.singledispatch

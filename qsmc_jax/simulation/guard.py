@@ -30,6 +30,7 @@ from qsmc_jax.model.unseen import (
     joined,
     unseen_in_reference,
     unseen_in_signal,
+    within,
 )
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.simulation.problem import Problem
@@ -161,7 +162,8 @@ def _pushes(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
     plant = loop.plant
     if isinstance(plant, AbstractStateSpace):
         # The disturbance is in it, wherever it enters.
-        free = lambda t: plant.vector_field(t, at(t), loop.disturbance(t))  # noqa: E731
+        d = within(loop.disturbance, 0.5 * (step.t0 + step.t1))
+        free = lambda t: plant.vector_field(t, at(t), d(t))  # noqa: E731
         pushed = lambda t: loop.control.surface(plant.outputs_in_motion(t, at(t), free(t))[1])  # noqa: E731
         return joined([unseen(pushed, step), *parts[1:]])
     if not is_known(plant):
@@ -177,10 +179,10 @@ def _in_states(loop: ClosedLoop, step: Step, at: Path, u: RealScalarLike, least:
     plant = loop.plant
     if not isinstance(plant, AbstractStateSpace):
         return 0.0
-    found = []
+    found, d = [], within(loop.disturbance, 0.5 * (step.t0 + step.t1))
     for i, ends in enumerate(zip(at(step.t0), at(step.t1), strict=True)):
         size = ft.reduce(jnp.maximum, map(jnp.abs, ends), least)
-        rate = lambda t, i=i: plant.vector_field(t, at(t), loop.disturbance(t))[i]  # noqa: E731
+        rate = lambda t, i=i: plant.vector_field(t, at(t), d(t))[i]  # noqa: E731
         reach = lambda t, i=i: plant.input_matrix(t, at(t))[i]  # noqa: E731
         found.append(step.length * (unseen(rate, step).amount + unseen(reach, step).amount * u) / size)
     return ft.reduce(jnp.maximum, found)

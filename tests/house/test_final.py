@@ -71,7 +71,7 @@ def test_what_is_possible_is_said_where_there_is_no_interface_yet():
         derived(qj.Funnel)
     with pytest.raises(TypeError, match=r"final\. Keep a `Jitter` in a field instead"):
         derived(qj.Jitter)
-    with pytest.raises(TypeError, match=r"A loop under a law of your own needs an `Implementation`"):
+    with pytest.raises(TypeError, match=r"A law of your own is an `AbstractControl`"):
         derived(qj.QuasiSlidingControl)
 
 

@@ -19,6 +19,7 @@ LONG = {
     "cooling": qj.Verdict.HELD,
     "flexible_joint": qj.Verdict.HELD,
     "ship": qj.Verdict.HELD,
+    "quarter_car": qj.Verdict.HELD,
     "example1_implemented": qj.Verdict.HELD,
     "paper_example2": qj.Verdict.HELD,
     "example1_uncertain": qj.Verdict.HELD,

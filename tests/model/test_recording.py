@@ -1,5 +1,6 @@
 """Recorded signals: values and derivatives against SciPy's, the bound against a closed form, and what is refused."""
 
+import itertools
 import math
 
 import equinox as eqx
@@ -188,3 +189,15 @@ def test_a_reference_that_begins_to_hold_kinks_there():
     assert loop(1, "cubic", "hold").order == 1
     with pytest.raises(qj.InputError, match=r'`reference` must have 1 .*Give `kind="pchip"` and `beyond="refuse"`'):
         loop(2, "pchip", "hold")
+
+
+@each_kind
+def test_a_piece_is_the_signal_until_the_next_sample(kind):
+    times = np.array([0.0, 0.3, 0.4, 1.0, 1.7])
+    signal = qj.Recording(times, [0.0, 2.0, -1.0, 0.5, 0.7], kind)
+    with in_64_bits():
+        for a, b in itertools.pairwise(times):
+            piece = signal.piece(0.5 * (a + b))
+            for part in (0.01, 0.4, 0.99):
+                t = a + part * (b - a)
+                assert float(piece(t)) == pytest.approx(float(signal(t)), rel=1e-12)
