@@ -1,6 +1,6 @@
 """The closed loop as pure functions: plant, reference, disturbance and control, at one instant."""
 
-from typing import ClassVar, NamedTuple, cast
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +51,22 @@ class Terms(NamedTuple):
     unmatched: Scalars
 
 
+class OwnTerms(NamedTuple):
+    """The same of a plant in its own coordinates.
+
+    Attributes:
+        free: Rates of the states without input.
+        reach: What an input of 1 adds to them.
+        gain: The gain of the sliding variable's derivative.
+        disturbance: d.
+    """
+
+    free: Scalars
+    reach: Scalars
+    gain: RealScalarLike
+    disturbance: RealScalarLike
+
+
 class ClosedLoop(AbstractModule):
     r"""A plant under a controller: $\dot x_n = f + g u + d$ with $u$ from `control`, or a plant in own coordinates.
 
@@ -58,8 +74,8 @@ class ClosedLoop(AbstractModule):
     smooth and has no memory.
 
     Attributes:
-        plant: The plant, of order n: a chain of integrators, or in its own coordinates (`AbstractStateSpace`, for the
-            ideal loop; n is its relative degree then).
+        plant: The plant, of order n: a chain of integrators, or in its own coordinates (`AbstractStateSpace`; n is its
+            relative degree then).
         reference: The desired output $x_{des}(t)$, at least n times differentiable.
         disturbance: The disturbance $d(t)$, matched in a chain.
         control: The controller with its surface (n - 1 coefficients) and funnel.
@@ -107,10 +123,11 @@ class ClosedLoop(AbstractModule):
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches or "
             "has a memory can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
         )
+        unmatched = () if self.implementation is None else self.implementation.unmatched
         require(
-            self.implementation is None or isinstance(self.plant, AbstractPlant),
-            "Argument `implementation` must be None for a plant in its own coordinates: such a loop is solved in "
-            "continuous time only.",
+            not unmatched or isinstance(self.plant, AbstractPlant),
+            "Argument `unmatched` of the implementation must be left out for a plant in its own coordinates: there `d` "
+            "enters where `vector_field` has it.",
         )
 
     @property
@@ -280,8 +297,8 @@ class ClosedLoop(AbstractModule):
         """
         if isinstance(self.plant, AbstractPlant):
             return self.rates(self.terms(t, x), x, u)
-        free = self.plant.vector_field(t, x, self.disturbance(t))
-        return tuple(fi + gi * u for fi, gi in zip(free, self.plant.input_matrix(t, x), strict=True))
+        free, reach = self.plant.vector_field(t, x, self.disturbance(t)), self.plant.input_matrix(t, x)
+        return tuple(fi + gi * u for fi, gi in zip(free, reach, strict=True))
 
     def coasted(self, t: RealScalarLike, x: State, dt: RealScalarLike) -> Scalars:
         """The state a moment later without input; in a chain of integrators but for the last, which no other shows.
@@ -294,21 +311,26 @@ class ClosedLoop(AbstractModule):
         rates = (*x[1:], 0.0) if isinstance(self.plant, AbstractPlant) else self.driven(t, x, 0.0)
         return tuple(xi + dt * rate for xi, rate in zip(x, rates, strict=True))
 
-    def terms(self, t: RealScalarLike, x: State) -> Terms:
-        """What moves a chain of integrators at time t and state x, apart from the input.
+    def terms(self, t: RealScalarLike, x: State) -> Terms | OwnTerms:
+        """What moves the plant at time t and state x, apart from the input.
 
         Args:
             t: Time [s].
             x: State, n scalars.
         """
-        implementation, plant = self.implementation, cast(AbstractPlant, self.plant)
+        implementation, plant = self.implementation, self.plant
+        fault = None if implementation is None else implementation.gain_fault
+        if isinstance(plant, AbstractStateSpace):
+            d, part = self.disturbance(t), 1.0 if fault is None else fault(t)
+            reach = tuple(gi * part for gi in plant.input_matrix(t, x))
+            return OwnTerms(tuple(plant.vector_field(t, x, d)), reach, self.gain(t, x) * part, d)
         gain = plant.gain(t, x)
-        if implementation is not None and implementation.gain_fault is not None:
-            gain = gain * implementation.gain_fault(t)
+        if fault is not None:
+            gain = gain * fault(t)
         unmatched = () if implementation is None else tuple(signal(t) for signal in implementation.unmatched)
         return Terms(plant.drift(t, x), gain, self.disturbance(t), unmatched or (0.0,) * (self.order - 1))
 
-    def rates(self, terms: Terms, x: State, u: RealScalarLike) -> Scalars:
+    def rates(self, terms: Terms | OwnTerms, x: State, u: RealScalarLike) -> Scalars:
         """The state's derivative under the input u, paper eq. (1); `terms` is `self.terms(t, x)`.
 
         Args:
@@ -316,6 +338,8 @@ class ClosedLoop(AbstractModule):
             x: State, n scalars.
             u: Input.
         """
+        if isinstance(terms, OwnTerms):
+            return tuple(fi + gi * u for fi, gi in zip(terms.free, terms.reach, strict=True))
         chain = (xi + di for xi, di in zip(x[1:], terms.unmatched, strict=True))
         return (*chain, terms.drift + terms.gain * u + terms.disturbance)
 

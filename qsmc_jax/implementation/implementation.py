@@ -262,11 +262,11 @@ class Implementation(AbstractModule):
         claims += [getattr(self, name).is_valid() for name in _PARTS if getattr(self, name) is not None]
         return ft.reduce(jnp.logical_and, claims)
 
-    def check(self, order: int, horizon: RealScalarLike) -> None:
-        """Raises `InputError` unless it fits a plant of the given order and a horizon [s]; traced numbers pass.
+    def check(self, states: int, horizon: RealScalarLike) -> None:
+        """Raises `InputError` unless it fits a plant with so many states and a horizon [s]; traced numbers pass.
 
         Args:
-            order: Order n of the plant.
+            states: How many states the plant has.
             horizon: The horizon [s].
         """
         counts = {
@@ -277,8 +277,8 @@ class Implementation(AbstractModule):
             "unmatched": len(self.unmatched) + 1 if self.unmatched else None,
         }
         for name, count in counts.items():
-            ok = count in (None, order)
-            require(ok, f"Argument `{name}` must fit a plant of order {order}, but is for order {count}.")
+            ok = count in (None, states)
+            require(ok, f"Argument `{name}` must fit a plant with {states} states, but is for {count}.")
         for name in _DELAYS:
             delay = getattr(self, name)
             if delay is not None and not is_traced(delay, horizon):

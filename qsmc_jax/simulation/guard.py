@@ -10,7 +10,7 @@ gain K of the law; of a law of the user's nobody knows). An amount of the gain c
 
 import functools as ft
 from collections.abc import Callable
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
 import jax.numpy as jnp
 
@@ -20,7 +20,6 @@ from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.enclosures.unseen import Step, Unseen, unseen
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.model.unseen import (
     gain_range,
@@ -92,7 +91,13 @@ def hidden(
 
 
 def hidden_in_cell(
-    problem: Problem, implementation: Implementation, step: Step, at: Path, u: RealScalarLike, rtol: RealScalarLike
+    problem: Problem,
+    implementation: Implementation,
+    step: Step,
+    at: Path,
+    u: RealScalarLike,
+    rtol: RealScalarLike,
+    least: RealScalarLike,
 ) -> RealScalarLike:
     """How far an open-loop cell could move the sliding variable unseen, in units of what is tolerated.
 
@@ -103,19 +108,21 @@ def hidden_in_cell(
         at: The state in it, as a function of time.
         u: Largest input in it.
         rtol: The relative tolerance.
+        least: As for `hidden`.
     """
     problem, implementation, (t0, t1), u = pytrees.stop_gradient((problem, implementation, (step.t0, step.t1), u))
     step, loop = Step(t0, t1, step.nodes), problem.loop
-    plant = cast(AbstractPlant, loop.plant)
-    gain = joined([]) if is_known(plant) else unseen(lambda t: plant.gain(t, at(t)), step)
-    drift = joined([]) if is_known(plant) else unseen(lambda t: plant.drift(t, at(t)), step)
-    pushes = joined([unseen_in_signal(loop.disturbance, step), drift]).amount + gain.amount * jnp.abs(u)
+    plant = loop.plant
+    gain = joined([]) if is_known(plant) else unseen(lambda t: loop.gain(t, at(t)), step)
+    pushes = _moved(loop, step, at).amount + gain.amount * jnp.abs(u)
     for c, signal in zip(loop.control.surface.c, implementation.unmatched, strict=False):
         pushes = pushes + c * unseen_in_signal(signal, step).amount
     wander = loop.control.surface([unseen_in_reference(loop.reference, i, step).amount for i in range(loop.order)])
     funnel = loop.control.funnel
     wander = wander + unseen_in_funnel(funnel, step, is_rate=False).amount
     moves = (step.length * pushes + wander) / _narrowest(funnel, step)
+    in_states = _in_states(loop, step, at, jnp.abs(u), least)
+    moves = moves if is_nothing(in_states) else jnp.maximum(moves, in_states)
     return jnp.where(jnp.isnan(moves), jnp.inf, moves) / _worth(rtol)
 
 
@@ -157,18 +164,22 @@ def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]) ->
 
 def _pushes(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
     """What may hide in w, which pushes the sliding variable."""
-    parts = [unseen_in_signal(loop.disturbance, step), unseen_in_reference(loop.reference, loop.order, step)]
-    parts.append(unseen_in_funnel(loop.control.funnel, step, is_rate=True))
+    parts = [_moved(loop, step, at), unseen_in_reference(loop.reference, loop.order, step)]
+    return joined([*parts, unseen_in_funnel(loop.control.funnel, step, is_rate=True)])
+
+
+def _moved(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
+    """What may hide in the part of it that comes from plant and disturbance."""
     plant = loop.plant
     if isinstance(plant, AbstractStateSpace):
         # The disturbance is in it, wherever it enters.
         d = within(loop.disturbance, 0.5 * (step.t0 + step.t1))
         free = lambda t: plant.vector_field(t, at(t), d(t))  # noqa: E731
-        pushed = lambda t: loop.control.surface(plant.outputs_in_motion(t, at(t), free(t))[1])  # noqa: E731
-        return joined([unseen(pushed, step), *parts[1:]])
-    if not is_known(plant):
-        parts.append(unseen(lambda t: plant.drift(t, at(t)), step))
-    return joined(parts)
+        return unseen(lambda t: loop.control.surface(plant.outputs_in_motion(t, at(t), free(t))[1]), step)
+    disturbance = unseen_in_signal(loop.disturbance, step)
+    if is_known(plant):
+        return disturbance
+    return joined([disturbance, unseen(lambda t: plant.drift(t, at(t)), step)])
 
 
 def _in_states(loop: ClosedLoop, step: Step, at: Path, u: RealScalarLike, least: RealScalarLike) -> RealScalarLike:

@@ -292,7 +292,7 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     require_finite("x0", x0)
     require_positive("t1", t1)
     if loop.implementation is not None:
-        loop.implementation.check(loop.order, t1)
+        loop.implementation.check(loop.states, t1)
     require_recorded(loop, t1)
     require_consistent(loop.reference, loop.order, t1)
 

@@ -372,7 +372,7 @@ def test_a_delay_longer_than_the_horizon_is_named():
 
 def test_noise_for_another_order_is_named():
     loop = scalar_loop(qj.Implementation(1e-3, noise=qj.noises.Uniform([0.1, 0.1])))
-    with pytest.raises(ValueError, match="Argument `noise` must fit a plant of order 1, but is for order 2"):
+    with pytest.raises(ValueError, match="Argument `noise` must fit a plant with 1 states, but is for 2"):
         qj.simulate(loop, [0.1], T1)
 
 

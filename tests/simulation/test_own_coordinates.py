@@ -352,16 +352,6 @@ BAD = {
     ),
     "start": (lambda: started(Tank, [1.0], (0.4, 0.2)), "the plant has 3 states"),
     "surface": (lambda: started(Scaled, [1.0]), "must have 0 coefficients"),
-    "implementation": (
-        lambda: qj.ClosedLoop(
-            Tank(),
-            qj.references.Constant(0.0),
-            qj.disturbances.Zero(),
-            qj.QuasiSlidingControl(qj.SlidingSurface([1.0]), qj.Funnel(4.0, 1.0, 0.1)),
-            qj.Implementation(sample_period=1e-3),
-        ),
-        "Argument `implementation` must be None for a plant in its own coordinates",
-    ),
 }
 
 

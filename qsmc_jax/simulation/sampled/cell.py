@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.implementation.swing import Swing, held_swing
-from qsmc_jax.loop import Terms
+from qsmc_jax.loop import OwnTerms, Terms
 from qsmc_jax.metrics.signals import AbstractStep, Signals
 from qsmc_jax.numerics.hermite import Cubic, cubics
 from qsmc_jax.simulation.problem import Problem
@@ -32,7 +32,7 @@ class LoopPoint(AbstractModule):
 
     t: RealScalarLike
     x: Scalars
-    terms: Terms
+    terms: Terms | OwnTerms
     errors: Scalars
     drift: Scalars
     sigma: RealScalarLike
@@ -64,12 +64,16 @@ class LoopPoint(AbstractModule):
 
 def loop_point(problem: Problem, t: RealScalarLike, x: Scalars) -> LoopPoint:
     """The loop at time t and state x."""
-    loop, barrier = problem.loop, problem.barrier
-    terms, desired = loop.terms(t, x), barrier(loop.desired(t))
-    drift, gain, disturbance = barrier((terms.drift, terms.gain, terms.disturbance))
-    terms = terms._replace(drift=drift, gain=gain, disturbance=disturbance)
-    errors = tuple(xi - di for xi, di in zip(x, desired, strict=False))
-    rates = tuple(rate - di for rate, di in zip(loop.rates(terms, x, 0.0), desired[1:], strict=True))
+    loop, barrier, terms = problem.loop, problem.barrier, problem.loop.terms(t, x)
+    if isinstance(terms, OwnTerms):
+        terms = OwnTerms(*barrier(tuple(terms)))
+        errors, rates = barrier(loop.errors_in_motion(t, x, terms.free))
+    else:
+        desired = barrier(loop.desired(t))
+        drift, gain, disturbance = barrier((terms.drift, terms.gain, terms.disturbance))
+        terms = terms._replace(drift=drift, gain=gain, disturbance=disturbance)
+        errors = tuple(xi - di for xi, di in zip(x, desired, strict=False))
+        rates = tuple(rate - di for rate, di in zip(loop.rates(terms, x, 0.0), desired[1:], strict=True))
     surface, funnel = loop.control.surface, loop.control.funnel
     rho, rho_rate = funnel.width_and_rate(t)
     rho = barrier(rho)

@@ -60,7 +60,7 @@ def sample(
     desired = loop.desired(t)
     if is_old or not is_exact:
         measured = implementation.measured(now.x, t, k)
-        errors = tuple(x - d for x, d in zip(measured, desired, strict=False))
+        errors = loop.errors(t, measured)
         sigma = loop.control.surface(errors)
     else:
         errors, sigma = now.errors, now.sigma

@@ -18,6 +18,7 @@ from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.enclosures.unseen import Nodes, Step
 from qsmc_jax.implementation.implementation import Implementation
+from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.hermite import cubics
 from qsmc_jax.numerics.lockstep import any_lane
@@ -106,6 +107,7 @@ class LoopConstants(AbstractModule):
     breaks: BreakTimes
     cutoff: RealScalarLike
     rtol: RealScalarLike
+    atol: RealScalarLike
     max_steps: int
 
 
@@ -180,7 +182,9 @@ def _constants(
     if degree > 0:
         rate = jnp.maximum(rate, jnp.abs(loop.control.surface.c[0]) ** (1.0 / degree))
     cutoff = 5.0 * rate if implementation.cutoff is None else implementation.cutoff
-    return LoopConstants(problem, implementation, horizon, breaks, cutoff, settings.rtol, settings.max_steps)
+    return LoopConstants(
+        problem, implementation, horizon, breaks, cutoff, settings.rtol, settings.atol, settings.max_steps
+    )
 
 
 def _advance(constants: LoopConstants, state: LoopState) -> LoopState:
@@ -254,20 +258,33 @@ def _cross(constants: LoopConstants, state: LoopState, end: RealScalarLike) -> t
     x1, stages = explicit_stages(_TABLEAU, field, now.t, end, now.x, first)
     right = loop_point(constants.problem, end, barrier(x1))
     stages.append(loop.rates(right.terms, right.x, u1))
-    errors = loop.control.surface(tuple(jnp.abs(h * error) for error in weighted(_TABLEAU.b_error, stages)))
+    missed = tuple(h * error for error in weighted(_TABLEAU.b_error, stages))
     speed = jnp.abs(now.sigma_rate(u0)) + jnp.abs(right.sigma_rate(u1))
     width, moved = constants.rtol * right.rho, INSTANT * end * speed
     allowed = constants.rtol * jnp.abs(right.sigma) + absolute_tolerance(width, state.cells.peak_ratio, moved)
     cell = Cell(now, right, u0, drive.input_at(now.t + 0.5 * h), u1, drive.swing(h))
     largest = ft.reduce(jnp.maximum, map(jnp.abs, (cell.u0, cell.middle, cell.u1)))
     path = _path(now, h, x1, first, stages[-1])
+    least = constants.atol / constants.rtol
     hides = hidden_in_cell(
-        constants.problem, constants.implementation, Step(now.t, end, _NODES), path, largest, constants.rtol
+        constants.problem, constants.implementation, Step(now.t, end, _NODES), path, largest, constants.rtol, least
     )
-    error = ft.reduce(
-        jnp.maximum, (errors / allowed, hides**2, _misread(constants, cell) / (_READING * constants.rtol))
-    )
+    local = _local_error(constants, cell, missed, allowed)
+    error = ft.reduce(jnp.maximum, (local, hides**2, _misread(constants, cell) / (_READING * constants.rtol)))
     return cell, drive.state_at(end), jnp.where(jnp.isfinite(error), error, jnp.inf)
+
+
+def _local_error(constants: LoopConstants, cell: Cell, missed: Scalars, allowed: RealScalarLike) -> RealScalarLike:
+    """The error in the sliding variable, and in each state of a plant in its own coordinates, over what is allowed."""
+    loop, right = constants.problem.loop, cell.right
+    if not isinstance(loop.plant, AbstractStateSpace):
+        return loop.control.surface(tuple(map(jnp.abs, missed))) / allowed
+    in_errors = loop.plant.outputs_in_motion(right.t, right.x, missed, time=0.0)[1]
+    parts = [loop.control.surface(tuple(map(jnp.abs, in_errors))) / allowed]
+    for a, b, wrong in zip(cell.left.x, right.x, missed, strict=True):
+        size = jnp.maximum(jnp.abs(a), jnp.abs(b))
+        parts.append(jnp.abs(wrong) / (constants.rtol * size + constants.atol))
+    return ft.reduce(jnp.maximum, parts)
 
 
 def _misread(constants: LoopConstants, cell: Cell) -> RealScalarLike:
