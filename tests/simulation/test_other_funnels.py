@@ -62,7 +62,10 @@ def peak_by_scipy(width, middle, x0=0.5, t1=3.0):
     return peak
 
 
-@pytest.mark.parametrize("name", FUNNELS)
+SLOWLY = [pytest.param(name, marks=pytest.mark.slow) for name in ("late", "a power law")]
+
+
+@pytest.mark.parametrize("name", ["finite time", "a dip", *SLOWLY])
 def test_the_peak_is_scipys(name):
     funnel, width, middle = FUNNELS[name]
     run = qj.simulate(loop_in(funnel), [0.5], 3.0, bandwidth=BANDWIDTH if name != "a dip" else 1.5)

@@ -212,7 +212,8 @@ class Own(qj.AbstractStateSpace):
         return x[0]
 
 
-@pytest.mark.parametrize("kind", ["hold", pytest.param("linear", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["hold", "linear"])
 def test_a_plant_in_its_own_coordinates_meets_it_too(kind):
     control, rest = qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL, -1.0), qj.references.Constant(0.0)
     recorded = 1.0 * (qj.disturbances.Recorded(spike(kind, 1e6)) + qj.disturbances.Zero())

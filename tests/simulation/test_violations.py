@@ -67,7 +67,7 @@ def escaped():
         "peak_ratio": 1.0,
         "margin": 0.0,
         "peak_u": math.inf,
-        "min_u": -math.inf,
+        "max_u": math.inf,
         "reach_time": math.inf,
         "settle_time": math.inf,
         "least_gain": -1.0,
@@ -77,8 +77,8 @@ def test_metrics_of_an_escape(escaped, metric, value):
     assert float(getattr(escaped.metrics, metric)) == value
 
 
-def test_an_input_that_grew_downwards_has_no_known_largest_value(escaped):
-    assert math.isnan(escaped.metrics.max_u)
+def test_an_input_that_grew_upwards_has_no_known_least_value(escaped):
+    assert math.isnan(escaped.metrics.min_u)
 
 
 def test_signals_end_with_the_escape(escaped):
