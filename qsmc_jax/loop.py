@@ -119,7 +119,7 @@ class ClosedLoop(AbstractModule):
         if isinstance(self.reference, Recorded):
             self.reference.check_order(order)
         require(
-            self.implementation is not None or (self.control.is_smooth and len(self.control.first_memory()) == 0),
+            self.implementation is not None or (self.control.has_derivative and len(self.control.first_memory()) == 0),
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches or "
             "has a memory can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
         )

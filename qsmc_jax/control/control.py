@@ -118,8 +118,17 @@ class AbstractControl(AbstractModule):
 
     def is_valid(self) -> BoolScalarLike:
         """Whether funnel, surface and the law's own numbers are what the constructors ask for, for traced ones."""
-        own = [getattr(self, name) > 0.0 for name in self.positive]
+        own = [getattr(self, name) > 0.0 for name in self.positive] + [law.is_valid() for law in self._laws]
         return ft.reduce(jnp.logical_and, own, self.funnel.is_valid() & self.surface.is_hurwitz())
+
+    @property
+    def has_derivative(self) -> bool:
+        """Whether the law is smooth, and those that it is made of."""
+        return self.is_smooth and all(law.has_derivative for law in self._laws)
+
+    @property
+    def _laws(self) -> list["AbstractControl"]:
+        return [value for value in vars(self).values() if isinstance(value, AbstractControl)]
 
     @abc.abstractmethod
     def first_memory(self) -> Scalars:

@@ -22,7 +22,7 @@ def refuse_jumps(study: Study) -> None:
     loop = study.nominal.loop
     law = type(loop.control).__name__
     require(
-        loop.control.is_smooth,
+        loop.control.has_derivative,
         f"The gradient of this study can't be trusted: `{law}` switches by the sign of sigma, which has no derivative. "
         "Tune `BoundaryLayer` or the quasi-sliding law.",
     )

@@ -3,6 +3,7 @@
 import math
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -193,3 +194,30 @@ def test_the_gain_must_be_positive():
         qj.QuasiSlidingControl(SURFACE, FUNNEL, 1.0, -1.0)
     with pytest.raises(qj.InputError, match="Argument `offset` must be finite"):
         qj.QuasiSlidingControl(SURFACE, FUNNEL, 1.0, 1.0, math.inf)
+
+
+def test_a_saturated_law_holds_what_its_limit_can_hold():
+    """At rest K tan(pi z / 2) = d / g as long as that is below the limit; started at it, x moves at d - g u_max."""
+    law = qj.controllers.Saturated(qj.QuasiSlidingControl(SURFACE, FUNNEL), (-1.0, 1.0))
+    held = run_of(law, qj.disturbances.Constant(1.5), x0=0.2, t1=20.0)
+    assert held.verdict is qj.Verdict.HELD
+    rho = math.exp(-20.0) + 0.1
+    assert float(held.x[-1, 0]) == pytest.approx(2.0 / math.pi * math.atan(1.5 / G) * rho, rel=1e-5)
+    left = run_of(law, qj.disturbances.Constant(2.5), x0=0.9)
+    meets = scipy.optimize.brentq(lambda t: 0.9 + 0.5 * t - math.exp(-t) - 0.1, 0.0, T1)
+    assert left.verdict is qj.Verdict.VIOLATED
+    assert float(left.metrics.violation_time) == pytest.approx(meets, rel=1e-5)
+    assert float(np.nanmax(np.abs(left.u))) == 1.0
+
+
+def test_what_a_law_is_made_of_must_be_fit_too():
+    limited = qj.controllers.Saturated(qj.controllers.Sign(SURFACE, FUNNEL, 1.0), (-1.0, 1.0))
+    with pytest.raises(qj.InputError, match="`implementation` must be given for a `Saturated`"):
+        run_of(limited)
+    with pytest.raises(qj.InputError, match=r"`input_range` must have low < high, but is \(1, -1\)"):
+        qj.controllers.Saturated(qj.QuasiSlidingControl(SURFACE, FUNNEL), (1.0, -1.0))
+    drawn = lambda gain, low: qj.controllers.Saturated(  # noqa: E731
+        qj.QuasiSlidingControl(SURFACE, FUNNEL, 1.0, gain), jnp.stack([low, jnp.ones(())])
+    ).is_valid()
+    fit = [bool(jax.jit(drawn)(gain, low)) for gain, low in ((1.0, -1.0), (-1.0, -1.0), (1.0, 2.0))]
+    assert fit == [True, False, False]

@@ -1,0 +1,69 @@
+"""A law whose input is limited."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import require_range
+from qsmc_jax.base.module import float_field
+from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.control.funnel import AbstractFunnel
+from qsmc_jax.control.surface import SlidingSurface
+
+
+class Saturated(AbstractControl):
+    r"""Another law between two numbers, in continuous time too: $u = \operatorname{clip}(u_1, u_\min, u_\max)$.
+
+    So the ideal loop tells what a limit alone does, without a sampling period. `Implementation.input_range` limits the
+    command of a sampled loop. What keeps the funnel for certain: `qj.thresholds.sufficient_saturation`.
+
+    Attributes:
+        law: The law.
+        input_range: Least and largest input; one may be infinite.
+
+    Examples:
+        >>> import qsmc_jax as qj
+        >>> inner = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(rho0=1.0, mu=1.0, rho_inf=0.1))
+        >>> law = qj.controllers.Saturated(inner, input_range=(0.0, 5.0))
+        >>> [float(law.command(qj.Sample(0.0, 0.0, s, 1.0, (0.0, 0.0)), ())[0].round(3)) for s in (0.5, -0.5, -0.99)]
+        [0.0, 1.0, 5.0]
+    """
+
+    law: AbstractControl
+    input_range: Float[Array, " 2"] = float_field()
+
+    positive: ClassVar[tuple[str, ...]] = ("room",)
+
+    def __check_init__(self):
+        require_range("input_range", self.input_range)
+
+    @property
+    def room(self) -> RealScalarLike:
+        """Between the limits, at most 1: positive."""
+        return jnp.minimum(self.input_range[1] - self.input_range[0], 1.0)
+
+    @property
+    def surface(self) -> SlidingSurface:
+        """That of the law."""
+        return self.law.surface
+
+    @property
+    def funnel(self) -> AbstractFunnel:
+        """That of the law."""
+        return self.law.funnel
+
+    @property
+    def gain_sign(self) -> Float[Array | np.ndarray, ""]:
+        """That of the law."""
+        return self.law.gain_sign
+
+    def first_memory(self) -> Scalars:
+        return self.law.first_memory()
+
+    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
+        # What the law would give beyond its edge is of no account: it is at its limit there.
+        u, kept = self.law.command(sample._replace(beyond="saturate"), memory)
+        return jnp.clip(u, self.input_range[0], self.input_range[1]), kept
