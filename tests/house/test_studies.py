@@ -20,6 +20,7 @@ LONG = {
     "flexible_joint": qj.Verdict.HELD,
     "ship": qj.Verdict.HELD,
     "quarter_car": qj.Verdict.HELD,
+    "cart_pole": qj.Verdict.HELD,
     "example1_implemented": qj.Verdict.HELD,
     "paper_example2": qj.Verdict.HELD,
     "example1_uncertain": qj.Verdict.HELD,

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import runpy
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import scipy.optimize
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from typer.testing import CliRunner
 
-import places
 import qsmc_jax as qj
 from problems import chain
 from qsmc_jax.cli.main import app
@@ -224,24 +222,3 @@ def test_a_plant_in_its_own_coordinates_meets_it_too(kind):
     # What a sample of 1e6 adds: a straight line, or a parabola from the sample before.
     after = width / 1e6 if kind == "hold" else math.sqrt(2.0 * width * SPACING / 1e6)
     assert float(run.metrics.violation_time) == pytest.approx(TIMES[AT] - before + after, rel=1e-5)
-
-
-@pytest.mark.slow
-def test_a_quarter_car_on_a_recorded_road_is_what_scipy_makes_of_it():
-    study = runpy.run_path(str(places.STUDIES / "quarter_car.py"))
-    road, scenario = study["ROAD"], study["study"].nominal
-    run = qj.simulate(scenario.loop, scenario.x0, scenario.t1, bandwidth=0.1)
-    spline = CubicSpline(road.times, road.coefficients[0][1:])
-
-    def rate(t, x):
-        u = -1000.0 * math.tan(0.5 * math.pi * (5.0 * x[0] + x[1]) / (math.exp(-2.0 * t) + 0.05))
-        strut = 26000.0 * (x[2] - x[0]) + 1500.0 * (x[3] - x[1])
-        return [x[1], (strut + u) / 250.0, x[3], (1e5 * (spline(t) - x[2]) - strut - u) / 43.0]
-
-    tight = {"method": "Radau", "rtol": 1e-9, "atol": 1e-11, "max_step": 0.01}
-    truth = scipy.integrate.solve_ivp(rate, (0.0, 4.0), scenario.x0, dense_output=True, **tight)
-    ts = np.linspace(0.0, 4.0, 100_001)
-    body, speed, *_ = truth.sol(ts)
-    peak = np.max(np.abs(5.0 * body + speed) / (np.exp(-2.0 * ts) + 0.05))
-    assert float(run.metrics.peak_ratio) == pytest.approx(peak, rel=1e-6)
-    np.testing.assert_allclose(run.x[-1], truth.y[:, -1], atol=1e-6)

@@ -1,0 +1,68 @@
+"""Plants of the studies in their own coordinates, against SciPy on equations written in another form."""
+
+import math
+import runpy
+
+import numpy as np
+import pytest
+import scipy.integrate
+from scipy.interpolate import CubicSpline
+
+import places
+import qsmc_jax as qj
+
+
+def nominal(name):
+    """What a study brings, and its nominal run."""
+    study = runpy.run_path(str(places.STUDIES / f"{name}.py"))
+    scenario = study["study"].nominal
+    return study, scenario, qj.simulate(scenario.loop, scenario.x0, scenario.t1, bandwidth=study["study"].bandwidth)
+
+
+def solved(rate, scenario, longest=np.inf):
+    """By SciPy: times, states."""
+    tight = {"method": "Radau", "rtol": 1e-9, "atol": 1e-11, "max_step": longest}
+    span = 0.0, float(scenario.t1)
+    truth = scipy.integrate.solve_ivp(rate, span, np.asarray(scenario.x0), dense_output=True, **tight)
+    ts = np.linspace(*span, 100_001)
+    return ts, truth.sol(ts)
+
+
+@pytest.mark.slow
+def test_a_quarter_car_on_a_recorded_road_is_what_scipy_makes_of_it():
+    study, scenario, run = nominal("quarter_car")
+    road = study["ROAD"]
+    spline = CubicSpline(road.times, road.coefficients[0][1:])
+
+    def rate(t, x):
+        u = -1000.0 * math.tan(0.5 * math.pi * (5.0 * x[0] + x[1]) / (math.exp(-2.0 * t) + 0.05))
+        strut = 26000.0 * (x[2] - x[0]) + 1500.0 * (x[3] - x[1])
+        return [x[1], (strut + u) / 250.0, x[3], (1e5 * (spline(t) - x[2]) - strut - u) / 43.0]
+
+    ts, x = solved(rate, scenario, longest=0.01)
+    body, speed, *_ = x
+    peak = np.max(np.abs(5.0 * body + speed) / (np.exp(-2.0 * ts) + 0.05))
+    assert float(run.metrics.peak_ratio) == pytest.approx(peak, rel=1e-6)
+    np.testing.assert_allclose(run.x[-1], x[:, -1], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_cart_pole_is_what_scipy_makes_of_its_mass_matrix():
+    _, scenario, run = nominal("cart_pole")
+    plant, push = scenario.loop.plant, scenario.loop.disturbance
+    cart, pole, length = (float(getattr(plant, name)) for name in ("cart", "pole", "length"))
+    size, frequency, phase = (float(getattr(push, name)) for name in ("amplitude", "frequency", "phase"))
+
+    def rate(t, x):
+        _, angle, speed, spin = x
+        force = 10.0 * math.tan(0.5 * math.pi * (3.0 * angle + spin) / (math.exp(-2.0 * t) + 0.02))
+        d = size * math.sin(frequency * t + phase)
+        couples = pole * length * math.cos(angle)
+        matrix = [[cart + pole, couples], [couples, 4.0 / 3.0 * pole * length**2]]
+        sides = [force + pole * length * spin**2 * math.sin(angle), pole * length * (9.81 * math.sin(angle) + d)]
+        return [speed, spin, *np.linalg.solve(matrix, sides)]
+
+    ts, x = solved(rate, scenario)
+    peak = np.max(np.abs(3.0 * x[1] + x[3]) / (np.exp(-2.0 * ts) + 0.02))
+    assert float(run.metrics.peak_ratio) == pytest.approx(peak, rel=1e-6)
+    np.testing.assert_allclose(run.x[-1], x[:, -1], atol=1e-5)
