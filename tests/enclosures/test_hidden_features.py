@@ -106,7 +106,15 @@ def test_nothing_narrow_hides():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("feature", "method"), [(in_time, "tsit5"), (in_time, "rodas5p"), (in_reference, "tsit5")])
-@pytest.mark.parametrize(("n", "runs"), [(1, 256), (2, 128), (3, 64)])
+@pytest.mark.parametrize(
+    ("n", "runs", "feature", "method"),
+    [
+        (1, 256, in_time, "tsit5"),
+        (1, 256, in_time, "rodas5p"),
+        (1, 256, in_reference, "tsit5"),
+        (2, 128, in_time, "tsit5"),
+        (3, 64, in_time, "rodas5p"),
+    ],
+)
 def test_nothing_narrow_hides_in_hundreds(n, runs, feature, method):
     check(n, feature, method, runs, seed=n)

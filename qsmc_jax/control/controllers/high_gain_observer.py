@@ -36,7 +36,7 @@ class HighGainObserver(AbstractControl):
         >>> for k in range(40):
         ...     estimates = observer.estimated(estimates, measured=0.01 * k, period=0.01)
         >>> [round(float(value), 2) for value in estimates]
-        [0.38, 1.0]
+        [0.39, 0.98]
 
     Source: Khalil and Praly, High-gain observers in nonlinear feedback control, Int. J. Robust Nonlinear Control 24
     (2014).
