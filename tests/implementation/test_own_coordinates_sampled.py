@@ -168,18 +168,3 @@ def test_what_does_not_fit_is_named():
     coarse = implemented(loop_of("tank"), qj.Implementation(TAU, measurement_resolution=[0.1, 0.1]))
     with pytest.raises(qj.InputError, match="`measurement_resolution` must fit a plant with 3 states, but is for 2"):
         qj.simulate(coarse, PLANTS["tank"][4], T1, bandwidth=BANDWIDTH)
-
-
-@pytest.mark.slow
-def test_a_study_of_such_loops_is_judged_and_replayed():
-    def scenario(draw):
-        x0 = jnp.stack([draw.uniform("start", 0.2, 0.6), jnp.full((), 0.2), jnp.full((), 0.3)])
-        return qj.Scenario(implemented(loop_of("tank"), qj.Implementation(TAU)), x0=x0, t1=T1)
-
-    level = qj.always(lambda s: 1.0 - jnp.abs(s.x[2]), unit="m")
-    study = qj.Study(scenario, bandwidth=BANDWIDTH, requirements={"level": level})
-    runs = qj.monte_carlo(study, 64, block=64)
-    again = study.replay(3)
-    assert np.all(runs["verdict"] == qj.Verdict.HELD)
-    assert runs["margin_level"][3] == pytest.approx(1.0 - np.max(np.abs(again.x[:, 2])), abs=1e-5)
-    assert float(again.metrics.peak_ratio) == pytest.approx(runs["peak_ratio"][3], rel=1e-6)

@@ -1,6 +1,5 @@
 """Loops of plants in their own coordinates against SciPy on right-hand sides written by hand, and closed forms."""
 
-import functools as ft
 import math
 from typing import ClassVar
 
@@ -31,15 +30,6 @@ def test_a_loop_is_scipys(name, method):
     assert 0.0 < float(run.metrics.coordinate_drift) < 1e-5
     for i in range(run.x.shape[1]):
         np.testing.assert_allclose(run.x[:, i], np.interp(run.ts, truth["ts"], truth["states"][i]), atol=5e-5)
-
-
-@pytest.mark.slow
-def test_physical_coordinates_say_the_same():
-    solve = ft.partial(qj.simulate, loop_of("tank"), PLANTS["tank"][4], T1, bandwidth=BANDWIDTH)
-    found = [solve(settings=qj.SolverSettings(coordinates=each)) for each in ("funnel", "physical")]
-    peaks = [float(run.metrics.peak_ratio) for run in found]
-    assert peaks[0] == pytest.approx(peaks[1], rel=1e-5)
-    np.testing.assert_allclose(found[0].x[-1], found[1].x[-1], atol=2e-5)
 
 
 class Pendulum(qj.AbstractStateSpace):
