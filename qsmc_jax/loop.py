@@ -276,6 +276,17 @@ class ClosedLoop(AbstractModule):
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
         return Balance(residual, self.plant.gain(t, x), d)
 
+    def plain(self, balance: Balance) -> Balance:
+        """The balance as the plain tangent sees it: as if gain and offset of the paper's law were the plant's.
+
+        Args:
+            balance: The balance.
+        """
+        law = self.control
+        if not isinstance(law, QuasiSlidingControl):
+            return balance
+        return balance._replace(residual=balance.residual + balance.gain * law.offset, gain=balance.gain * law.gain)
+
     def gain(self, t: RealScalarLike, x: State) -> RealScalarLike:
         """The gain g of the sliding variable's derivative.
 

@@ -74,7 +74,7 @@ class AbstractControl(AbstractModule):
 
     Attributes:
         surface: Sliding surface.
-        funnel: AbstractFunnel: what the loop is judged by, whether or not the law makes use of it.
+        funnel: Funnel: what the loop is judged by, whether or not the law makes use of it.
         gain_sign: The sign of the control gain g, 1 or -1.
         positive: Names of the law's own numbers that must be positive.
         is_smooth: Whether the law has a derivative; one that switches by a sign has none that tuning could use, and

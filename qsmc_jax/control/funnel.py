@@ -102,6 +102,15 @@ class AbstractFunnel(AbstractModule):
         """
         return self.centre_and_rate(t)[0]
 
+    def load(self, t: RealScalarLike, residual: RealScalarLike) -> RealScalarLike:
+        r"""How hard the sliding variable is driven to an edge at most, $|w - \dot m| + |\dot\rho|$.
+
+        Args:
+            t: Time [s].
+            residual: $w$, its rate without input.
+        """
+        return jnp.abs(residual - self.centre_and_rate(t)[1]) + jnp.abs(self.width_and_rate(t)[1])
+
     def admits(self, bandwidth: RealScalarLike) -> BoolScalarLike:
         """Whether the numbers are in range and condition C2 holds, strictly.
 

@@ -180,7 +180,7 @@ def _operating_range(study: Study) -> OperatingRange | None:
     ts = np.linspace(0.0, float(nominal.t1), _TIMES)
     run = simulate(loop, nominal.x0, nominal.t1, bandwidth=study.bandwidth, ts=ts)
     steady = ts >= run.reaching_time
-    residual, gain, rho_rate = _balances(run)
+    residual, gain, load = _balances(run)
     if run.outcome != Outcome.COMPLETED or not steady.any() or not np.all(gain > 0.0):
         return None
     # The slope of the law where the run is, which is that at rest if w is what the input holds against.
@@ -194,7 +194,7 @@ def _operating_range(study: Study) -> OperatingRange | None:
         flattest=tuple(points[steady][np.argmin(loop_gain[steady])].tolist()),
         residual=float(np.max(np.abs(residual))),
         gains=(float(np.min(gain)), float(np.max(gain))),
-        demand=float(law.gain * np.max((np.abs(residual) + np.abs(rho_rate)) / gain) + np.abs(law.offset)),
+        demand=float(law.gain * np.max(load / gain) + np.abs(law.offset)),
         ratio0=float(np.abs(loop.ratio(0.0, tuple(nominal.x0)))),
         peak_u=float(run.metrics.peak_u),
         period=_numbers(nominal.loop)["sample_period"],
@@ -203,17 +203,14 @@ def _operating_range(study: Study) -> OperatingRange | None:
 
 @entry_point
 def _balances(run: Trajectory) -> tuple[Float[Array, " times"], Float[Array, " times"], Float[Array, " times"]]:
-    """The residual less the centre's rate, |gain| with the sign that the law takes it to have, the width's rate."""
+    """The residual less the centre's rate, |gain| with the sign that the law takes it to have, the funnel's load."""
     loop = run.loop
 
     def at(t: Array, row: Float[Array, " n"]) -> tuple[Array, Array, Array]:
         x = tuple(row[i] for i in range(loop.states))
-        balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
-        # As if the law's gain and offset were the plant's: what is left of the law is the plain tangent.
-        law: Any = loop.control
-        gain, residual = law.gain_sign * law.gain * balance.gain, balance.residual + balance.gain * law.offset
-        (_, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
-        return jnp.asarray(residual - centre_rate), jnp.asarray(gain), jnp.asarray(rho_rate)
+        balance, funnel = loop.plain(loop.balance(t, x, loop.errors(t, x), loop.desired(t))), loop.control.funnel
+        residual, gain = balance.residual - funnel.centre_and_rate(t)[1], loop.control.gain_sign * balance.gain
+        return jnp.asarray(residual), jnp.asarray(gain), jnp.asarray(funnel.load(t, balance.residual))
 
     return jax.vmap(at)(jnp.asarray(run.ts), jnp.asarray(run.x))
 

@@ -69,15 +69,14 @@ def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
     rest, desired = (0.0,) * loop.order, loop.desired(t)
     is_chain = isinstance(loop.plant, AbstractPlant)
     balance = loop.balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
-    (rho, rho_rate), (_, centre_rate) = loop.control.funnel.width_and_rate(t), loop.control.funnel.centre_and_rate(t)
-    law, gain = loop.control, jnp.abs(balance.gain)
+    law, balance = loop.control, loop.plain(balance)
+    gain, load = jnp.abs(balance.gain), law.funnel.load(t, balance.residual)
     if not isinstance(law, QuasiSlidingControl):
-        load = jnp.abs(balance.residual - centre_rate) + jnp.abs(rho_rate)
+        centre, centre_rate = law.funnel.centre_and_rate(t)
         there = _balanced(loop, t, desired, jnp.sign(balance.residual - centre_rate) * load, balance.gain)
-        return gain * loop.steepness(t, (*rest[:-1], there + law.funnel.centre(t)), desired, there)
-    gain = gain * law.gain
-    input_ = (jnp.abs(balance.residual - centre_rate) + jnp.abs(rho_rate)) / jnp.where(gain > 0.0, gain, 1.0)
-    return gain * (0.5 * math.pi) / rho * (1.0 + input_**2)
+        return gain * loop.steepness(t, (*rest[:-1], there + centre), desired, there)
+    input_ = load / jnp.where(gain > 0.0, gain, 1.0)
+    return gain * (0.5 * math.pi) / law.funnel(t) * (1.0 + input_**2)
 
 
 def _balanced(

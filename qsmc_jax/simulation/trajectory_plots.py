@@ -94,9 +94,22 @@ def plot_funnel(run: Any, ax: Any = None) -> Any:
     return ax
 
 
-def edge_label(funnel: AbstractFunnel) -> str:
-    """What the edges of a funnel are called in a legend."""
-    return r"$\pm\rho$" if is_centred(funnel) else r"$m \pm \rho$"
+def draw_edges(
+    ax: Any, ts: np.ndarray, edges: tuple[np.ndarray, np.ndarray], funnel: AbstractFunnel, eps: float
+) -> None:
+    """The two edges of a funnel and of the bandwidth, in the axes given.
+
+    Args:
+        ax: Matplotlib `Axes`.
+        ts: Times [s].
+        edges: The edges at the times.
+        funnel: Whose they are.
+        eps: The bandwidth.
+    """
+    name = r"$\pm\rho$" if is_centred(funnel) else r"$m \pm \rho$"
+    for sign, edge in zip((-1.0, 1.0), edges, strict=True):
+        ax.plot(ts, edge, color=RED, label=name if sign > 0 else None)
+        ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
 
 
 def is_centred(funnel: AbstractFunnel) -> bool:
@@ -131,9 +144,7 @@ def _input(ax: Any, run: Any, colour: str) -> None:
 def _funnel(ax: Any, run: Any) -> None:
     """The funnel, the bandwidth and the reaching time around the sliding variable, on a scale that shows both ends."""
     eps, t_r = float(run.bandwidth), run.reaching_time
-    for sign, edge in zip((-1.0, 1.0), run.edges, strict=True):
-        ax.plot(run.ts, edge, color=RED, label=edge_label(run.loop.control.funnel) if sign > 0 else None)
-        ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
+    draw_edges(ax, run.ts, run.edges, run.loop.control.funnel, eps)
     ax.axvline(t_r, ls=":", color=ORANGE, label=f"$t_r$ = {t_r:.4g} s")
     ax.set_yscale("symlog", linthresh=2.0 * eps)
     ax.set(title="Sliding variable in its funnel", xlabel="t [s]", ylabel=r"$\sigma$ (linear below 2 $\varepsilon$)")

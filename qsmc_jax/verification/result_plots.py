@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.display.plotting import BLUE, GREEN, GREY, ORANGE, RED, SKY, one_axes, panels
-from qsmc_jax.simulation.trajectory_plots import edge_label, is_centred
+from qsmc_jax.display.plotting import BLUE, GREY, ORANGE, RED, SKY, one_axes, panels
+from qsmc_jax.simulation.trajectory_plots import draw_edges, is_centred
 from qsmc_jax.study.signals import signals
 from qsmc_jax.verification.summary import Histogram
 
@@ -67,9 +67,7 @@ def _funnel(ax: Any, result: Any) -> None:
         quantiles = np.nanquantile(sigma[:, alive], (low, high), axis=0)
         label = f"all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
         ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
-    for sign, edge in zip((-1.0, 1.0), worst[2], strict=True):
-        ax.plot(worst[0], edge, color=RED, label=edge_label(funnel) if sign > 0 else None)
-        ax.axhline(sign * eps, ls="--", color=GREEN, label=r"$\pm\varepsilon$" if sign > 0 else None)
+    draw_edges(ax, worst[0], worst[2], funnel, eps)
     ax.plot(*worst[:2], color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
     t_r = _reaching_time(result)
     ax.axvline(t_r, ls=":", color=ORANGE, label=f"nominal $t_r$ = {t_r:.4g} s")

@@ -10,11 +10,10 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
-from qsmc_jax.control.funnel import AbstractFunnel
-from qsmc_jax.control.surface import SlidingSurface
+from qsmc_jax.control.controllers.wrapping import AbstractWrappingControl
 
 
-class HighGainObserver(AbstractControl):
+class HighGainObserver(AbstractWrappingControl):
     r"""Another law on errors that are estimated from the measured output alone.
 
     $\dot{\hat e}_i = \hat e_{i+1} + \binom{n}{i+1} \omega^{i+1} (e - \hat e_0)$, i = 0 ... n - 1, $\hat e_n = 0$: all
@@ -46,21 +45,6 @@ class HighGainObserver(AbstractControl):
     frequency: Float[Array, ""] = float_field()
 
     positive: ClassVar[tuple[str, ...]] = ("frequency",)
-
-    @property
-    def surface(self) -> SlidingSurface:
-        """That of the law."""
-        return self.law.surface
-
-    @property
-    def funnel(self) -> AbstractFunnel:
-        """That of the law."""
-        return self.law.funnel
-
-    @property
-    def gain_sign(self) -> Float[Array | np.ndarray, ""]:
-        """That of the law."""
-        return self.law.gain_sign
 
     def first_memory(self) -> Scalars:
         """Whether there was a sample, the estimates, and what the law keeps."""

@@ -3,18 +3,16 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_range
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
-from qsmc_jax.control.funnel import AbstractFunnel
-from qsmc_jax.control.surface import SlidingSurface
+from qsmc_jax.control.controllers.wrapping import AbstractWrappingControl
 
 
-class Saturated(AbstractControl):
+class Saturated(AbstractWrappingControl):
     r"""Another law between two numbers, in continuous time too: $u = \operatorname{clip}(u_1, u_\min, u_\max)$.
 
     So the ideal loop tells what a limit alone does, without a sampling period. `Implementation.input_range` limits the
@@ -44,21 +42,6 @@ class Saturated(AbstractControl):
     def room(self) -> RealScalarLike:
         """Between the limits, at most 1: positive."""
         return jnp.minimum(self.input_range[1] - self.input_range[0], 1.0)
-
-    @property
-    def surface(self) -> SlidingSurface:
-        """That of the law."""
-        return self.law.surface
-
-    @property
-    def funnel(self) -> AbstractFunnel:
-        """That of the law."""
-        return self.law.funnel
-
-    @property
-    def gain_sign(self) -> Float[Array | np.ndarray, ""]:
-        """That of the law."""
-        return self.law.gain_sign
 
     def first_memory(self) -> Scalars:
         return self.law.first_memory()

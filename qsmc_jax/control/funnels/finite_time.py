@@ -7,10 +7,10 @@ from qsmc_jax.base.checks import is_traced, require, require_positive, show
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
-from qsmc_jax.control.funnel import AbstractFunnel, Funnel
+from qsmc_jax.control.funnels.ending import AbstractEndingFunnel
 
 
-class FiniteTime(AbstractFunnel):
+class FiniteTime(AbstractEndingFunnel):
     r"""$\rho(t) = \rho_0 (1 - t / T)^p + \rho_\infty$ until $T$, then $\rho_\infty$.
 
     Attributes:
@@ -45,28 +45,14 @@ class FiniteTime(AbstractFunnel):
         steep = jnp.where(is_over, 0.0, self.rho0 * left ** (self.power - 1.0))
         return steep * left + self.rho_inf, -self.power / self.end_time * steep
 
-    def centre_and_rate(self, t: RealScalarLike) -> tuple[RealScalarLike, RealScalarLike]:
-        return 0.0, 0.0
-
-    @property
-    def bandwidths(self) -> tuple[RealScalarLike, RealScalarLike]:
-        return self.rho_inf, self.rho0 + self.rho_inf
-
-    @property
-    def narrowest(self) -> RealScalarLike:
-        return self.rho_inf
-
     @property
     def steepest(self) -> RealScalarLike:
         return self.rho0 * self.rate
 
     @property
     def rate(self) -> RealScalarLike:
+        r"""By $1 - x \le e^{-x}$."""
         return self.power / self.end_time
-
-    @property
-    def break_times(self) -> Float[Array, " breaks"]:
-        return self.end_time[None]
 
     @entry_point
     def reaching_time(self, bandwidth: RealScalarLike) -> RealScalarLike:
@@ -79,10 +65,6 @@ class FiniteTime(AbstractFunnel):
         reached = part > 0.0
         time = self.end_time * (1.0 - jnp.where(reached, part, 1.0) ** (1.0 / self.power))
         return jnp.where(reached, jnp.maximum(time, 0.0), jnp.inf)
-
-    def enclosing(self, bandwidth: RealScalarLike) -> Funnel:
-        r"""By $1 - x \le e^{-x}$."""
-        return Funnel(self.rho0, self.rate, self.rho_inf)
 
     def is_valid(self) -> BoolScalarLike:
         return (self.rho0 > 0) & (self.power >= 1) & (self.end_time > 0) & (self.rho_inf > 0)

@@ -7,10 +7,10 @@ from qsmc_jax.base.checks import require_positive
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
-from qsmc_jax.control.funnel import AbstractFunnel, Funnel
+from qsmc_jax.control.funnels.ending import AbstractEndingFunnel
 
 
-class PrescribedTime(AbstractFunnel):
+class PrescribedTime(AbstractEndingFunnel):
     r"""$\rho(t) = \rho_0 e^{-k t / (T - t)} + \rho_\infty$ until $T$, then $\rho_\infty$: smooth, and flat at $T$.
 
     Attributes:
@@ -42,17 +42,6 @@ class PrescribedTime(AbstractFunnel):
         excess = jnp.where(is_over, 0.0, self.rho0 * jnp.exp(-self.shape * t / left))
         return excess + self.rho_inf, -self.shape * self.end_time / left**2 * excess
 
-    def centre_and_rate(self, t: RealScalarLike) -> tuple[RealScalarLike, RealScalarLike]:
-        return 0.0, 0.0
-
-    @property
-    def bandwidths(self) -> tuple[RealScalarLike, RealScalarLike]:
-        return self.rho_inf, self.rho0 + self.rho_inf
-
-    @property
-    def narrowest(self) -> RealScalarLike:
-        return self.rho_inf
-
     @property
     @entry_point
     def steepest(self) -> RealScalarLike:
@@ -62,11 +51,8 @@ class PrescribedTime(AbstractFunnel):
 
     @property
     def rate(self) -> RealScalarLike:
+        r"""By $t / (T - t) \ge t / T$."""
         return self.shape / self.end_time
-
-    @property
-    def break_times(self) -> Float[Array, " breaks"]:
-        return self.end_time[None]
 
     @entry_point
     def reaching_time(self, bandwidth: RealScalarLike) -> RealScalarLike:
@@ -79,10 +65,6 @@ class PrescribedTime(AbstractFunnel):
         reached = excess > 0.0
         needed = jnp.maximum(jnp.log(self.rho0 / jnp.where(reached, excess, self.rho0)), 0.0)
         return jnp.where(reached, self.end_time * needed / (self.shape + needed), jnp.inf)
-
-    def enclosing(self, bandwidth: RealScalarLike) -> Funnel:
-        r"""By $t / (T - t) \ge t / T$."""
-        return Funnel(self.rho0, self.rate, self.rho_inf)
 
     def is_valid(self) -> BoolScalarLike:
         return (self.rho0 > 0) & (self.shape > 0) & (self.end_time > 0) & (self.rho_inf > 0)

@@ -56,7 +56,8 @@ def sample(
     is_old = implementation.measurement_delay is not None
     is_exact = implementation.noise is None and implementation.measurement_resolution is None
     t = implementation.instant(k) if is_old else now.t
-    rho, centre = loop.control.funnel(t) if is_old else now.rho, loop.control.funnel.centre(t)
+    funnel = loop.control.funnel
+    rho, centre = (funnel(t), funnel.centre(t)) if is_old else (now.rho, now.centre)
     desired = loop.desired(t)
     if is_old or not is_exact:
         measured = implementation.measured(now.x, t, k)
