@@ -92,6 +92,44 @@ def scaled_outputs(t, x):
     return [math.exp(-t / 4) * (x[0] + x[1] / 5) * (1 + x[0] ** 2 / 10)]
 
 
+class Pendulum(qj.AbstractStateSpace):
+    """Example 1's, as a plant in its own coordinates."""
+
+    states, relative_degrees = 2, (2,)
+
+    def vector_field(self, t, x, d):
+        """The paper's."""
+        return x[1], -jnp.sin(x[0]) - x[1] + jnp.sin(x[1]) + d
+
+    def input_matrix(self, t, x):
+        """The paper's."""
+        return 0.0, 1.0 / (0.01 * 9.8**2)
+
+    def output(self, t, x):
+        """The angle."""
+        return x[0]
+
+
+class Scalar(qj.AbstractStateSpace):
+    """x' = g u + d, whose output is its state."""
+
+    gain: float = float_field(default=2.0)
+
+    states, relative_degrees = 1, (1,)
+
+    def vector_field(self, t, x, d):
+        """The disturbance."""
+        return (d,)
+
+    def input_matrix(self, t, x):
+        """The gain."""
+        return (self.gain,)
+
+    def output(self, t, x):
+        """The state."""
+        return x[0]
+
+
 # By plant: its class, rates, outputs, coefficients of the surface, where it starts, amplitude of the reference.
 PLANTS = {
     "tank": (Tank, tank, lambda t, x: x[:2], [1.5], [0.4, 0.2, 0.3], 0.5),

@@ -9,7 +9,7 @@ import pytest
 import scipy.integrate
 
 import qsmc_jax as qj
-from own_plants import BANDWIDTH, FUNNEL, PLANTS, WAVE, loop_of
+from own_plants import BANDWIDTH, FUNNEL, PLANTS, WAVE, Pendulum, loop_of
 
 TAU, T1 = 0.02, 3.0
 
@@ -126,21 +126,6 @@ def test_states_that_nobody_sees_are_as_exact_as_the_others():
 
 @pytest.mark.slow
 def test_a_chain_in_its_own_coordinates_is_the_chain_with_all_that_an_implementation_has():
-    class Pendulum(qj.AbstractStateSpace):
-        states, relative_degrees = 2, (2,)
-
-        def vector_field(self, t, x, d):
-            """The paper's."""
-            return x[1], -jnp.sin(x[0]) - x[1] + jnp.sin(x[1]) + d
-
-        def input_matrix(self, t, x):
-            """The paper's."""
-            return 0.0, 1.0 / (0.01 * 9.8**2)
-
-        def output(self, t, x):
-            """The angle."""
-            return x[0]
-
     made = qj.Implementation(
         0.01,
         delay=0.004,

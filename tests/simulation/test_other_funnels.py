@@ -8,6 +8,7 @@ import pytest
 import scipy.integrate
 
 import qsmc_jax as qj
+from own_plants import Scalar
 from qsmc_jax.control.settling import settling_time as qj_settling
 from studies_for_tests import Integrator
 
@@ -132,29 +133,11 @@ def test_a_start_counts_as_inside_between_its_own_edges(x0, inside):
     assert (run.verdict is qj.Verdict.INADMISSIBLE) == (not inside)
 
 
-class Own(qj.AbstractStateSpace):
-    """The same integrator as a plant in its own coordinates."""
-
-    states, relative_degrees = 1, (1,)
-
-    def vector_field(self, t, x, d):
-        """The disturbance."""
-        return (d,)
-
-    def input_matrix(self, t, x):
-        """Constant."""
-        return (G,)
-
-    def output(self, t, x):
-        """The state."""
-        return x[0]
-
-
 @pytest.mark.slow
 def test_other_coordinates_say_the_same():
     funnel = F.Asymmetric(qj.Funnel(1.0, 1.0, 0.1), qj.Funnel(0.8, 2.0, 0.05))
     rest, wave = qj.references.Constant(0.0), qj.disturbances.Sine(1.5, 2.0)
-    own = qj.ClosedLoop(Own(), rest, wave, qj.QuasiSlidingControl(qj.SlidingSurface([]), funnel))
+    own = qj.ClosedLoop(Scalar(G), rest, wave, qj.QuasiSlidingControl(qj.SlidingSurface([]), funnel))
     physical = qj.SolverSettings(coordinates="physical")
     truth, *others = (
         qj.simulate(loop, [0.5], 3.0, bandwidth=BANDWIDTH, settings=settings)

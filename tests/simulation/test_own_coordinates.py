@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import qsmc_jax as qj
-from own_plants import BANDWIDTH, FUNNEL, PLANTS, T1, Scaled, Tank, loop_of, solved
+from own_plants import BANDWIDTH, FUNNEL, PLANTS, T1, Pendulum, Scaled, Tank, loop_of, solved
 from problems import STILL, STILL_BANDWIDTH, WIDTH, escape_time, example1
 from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.simulation.ideal import read
@@ -30,24 +30,6 @@ def test_a_loop_is_scipys(name, method):
     assert 0.0 < float(run.metrics.coordinate_drift) < 1e-5
     for i in range(run.x.shape[1]):
         np.testing.assert_allclose(run.x[:, i], np.interp(run.ts, truth["ts"], truth["states"][i]), atol=5e-5)
-
-
-class Pendulum(qj.AbstractStateSpace):
-    """Example 1's, as a plant in its own coordinates."""
-
-    states, relative_degrees = 2, (2,)
-
-    def vector_field(self, t, x, d):
-        """The paper's."""
-        return x[1], -jnp.sin(x[0]) - x[1] + jnp.sin(x[1]) + d
-
-    def input_matrix(self, t, x):
-        """The paper's."""
-        return 0.0, 1.0 / (0.01 * 9.8**2)
-
-    def output(self, t, x):
-        """The angle."""
-        return x[0]
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from typer.testing import CliRunner
 
 import qsmc_jax as qj
+from own_plants import Scalar
 from problems import chain
 from qsmc_jax.cli.main import app
 
@@ -192,30 +193,12 @@ def test_the_command_line_calls_it_bad_input(tmp_path, text, said):
     assert said in " ".join(done.output.split())
 
 
-class Own(qj.AbstractStateSpace):
-    """x' = d and next to no input, as a plant in its own coordinates."""
-
-    states, relative_degrees = 1, (1,)
-
-    def vector_field(self, t, x, d):
-        """The disturbance."""
-        return (d,)
-
-    def input_matrix(self, t, x):
-        """Next to nothing."""
-        return (1e-9,)
-
-    def output(self, t, x):
-        """The state."""
-        return x[0]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hold", "linear"])
 def test_a_plant_in_its_own_coordinates_meets_it_too(kind):
     control, rest = qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL, -1.0), qj.references.Constant(0.0)
     recorded = 1.0 * (qj.disturbances.Recorded(spike(kind, 1e6)) + qj.disturbances.Zero())
-    run = qj.simulate(qj.ClosedLoop(Own(), rest, recorded, control), [0.0], T1, ts=np.array([0.0, T1]))
+    run = qj.simulate(qj.ClosedLoop(Scalar(1e-9), rest, recorded, control), [0.0], T1, ts=np.array([0.0, T1]))
     assert run.verdict is qj.Verdict.VIOLATED
     before = SPACING if kind == "linear" else 0.0
     width = 4.0 * math.exp(-TIMES[AT]) + 0.05
