@@ -1,5 +1,6 @@
-"""Whether the derivatives of a reference are those of its value."""
+"""Whether the derivatives of a reference, or of a funnel, are those of its value."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -31,13 +32,33 @@ def require_consistent(reference: AbstractReference, order: int, t1: Any) -> Non
         order: Its highest derivative that is used.
         t1: The horizon [s].
     """
-    if isinstance(reference, _EXACT) or is_traced(reference, t1):
+    if isinstance(reference, _EXACT):
         return
-    compared = _compared(reference, order, float(t1))
+
+    def components(reference: AbstractReference, t: Any) -> Any:
+        return reference.derivatives(t, order)
+
+    why = "Mend `derivatives`, or let `qj.references.Smooth(fn)` compute them."
+    require_slopes(reference, components, t1, f"of `{type(reference).__name__}`", why)
+
+
+def require_slopes(owner: Any, components: Callable[[Any, Any], Any], t1: Any, name: str, mend: str) -> None:
+    """Raises unless each component is the derivative in time of the one before; traced numbers pass.
+
+    Args:
+        owner: What has them, with `break_times`.
+        components: Value and derivatives of it at a time [s].
+        t1: The horizon [s].
+        name: What they are of, as messages say it.
+        mend: What can be done.
+    """
+    if is_traced(owner, t1):
+        return
+    compared = _compared(owner, components, float(t1))
     if compared is None:
         return
     ts, values, slopes = compared
-    for k in range(order):
+    for k in range(values.shape[1] - 1):
         given, found = values[:, k + 1], slopes[:, k]
         is_number = np.isfinite(given) & np.isfinite(found) & np.isfinite(values[:, k])
         scale = np.max(np.abs(np.where(is_number, [given, found], 0.0)))
@@ -47,31 +68,31 @@ def require_consistent(reference: AbstractReference, order: int, t1: Any) -> Non
         worst = int(np.argmax(difference))
         require(
             bool(difference[worst] <= _AGREEMENT * scale + rounding),
-            f"Derivative {k + 1} of `{type(reference).__name__}` must be the derivative in time of "
+            f"Derivative {k + 1} {name} must be the derivative in time of "
             f"{f'derivative {k}' if k else 'its value'}, but at t = {show(ts[worst])} s it is {show(given[worst])} "
-            f"instead of {show(found[worst])}. Mend `derivatives`, or let `qj.references.Smooth(fn)` compute them.",
+            f"instead of {show(found[worst])}. {mend}",
         )
 
 
 @entry_point
-def _compared(reference: AbstractReference, order: int, t1: float) -> tuple[Any, Any, Any] | None:
+def _compared(owner: Any, components: Callable[[Any, Any], Any], t1: float) -> tuple[Any, Any, Any] | None:
     """Times, components and their slopes, a row a time; None if JAX can't differentiate them."""
-    declared = np.asarray(as_times(reference.break_times))
+    declared = np.asarray(as_times(owner.break_times))
     inner = np.sort(declared[(declared > 0.0) & (declared < t1)])[: _TIMES // 2 - 1]
     edges = np.concatenate([[0.0], inner, [t1]])
     inside = edges[:-1] + _GOLDEN * np.diff(edges)  # seldom a round number, at which a formula may be guarded
     spread = t1 * ((np.arange(2, _TIMES - len(inside) + 2) * _GOLDEN) % 1.0)  # evenly, but in step with no period
     ts = np.concatenate([inside, spread])
     try:
-        values, slopes = _with_slopes(reference, order, ts)
+        values, slopes = _with_slopes(owner, components, ts)
     except (TypeError, ValueError):  # a function of which only the reverse derivative is known, or a call out of JAX
         return None
     return ts, values, slopes
 
 
 @eqx.filter_jit
-def _with_slopes(reference: AbstractReference, order: int, ts: Any) -> tuple[Any, Any]:
-    def components(t: Any) -> Any:
-        return jnp.stack([jnp.asarray(value, dtype=float) for value in reference.derivatives(t, order)])
+def _with_slopes(owner: Any, components: Callable[[Any, Any], Any], ts: Any) -> tuple[Any, Any]:
+    def at(t: Any) -> Any:
+        return jnp.stack([jnp.asarray(value, dtype=float) for value in components(owner, t)])
 
-    return jax.vmap(lambda t: jax.jvp(components, (t,), (jnp.ones_like(t),)))(ts)
+    return jax.vmap(lambda t: jax.jvp(at, (t,), (jnp.ones_like(t),)))(ts)

@@ -14,6 +14,7 @@ from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.control.funnel import AbstractFunnel
+from qsmc_jax.control.funnels.rates import require_own_rates
 from qsmc_jax.display.notebook import as_dataset, as_frame, as_html
 from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.loop import ClosedLoop
@@ -295,6 +296,7 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
         loop.implementation.check(loop.states, t1)
     require_recorded(loop, t1)
     require_consistent(loop.reference, loop.order, t1)
+    require_own_rates(loop.control.funnel, t1)
 
 
 def _sized(loop: ClosedLoop) -> str:

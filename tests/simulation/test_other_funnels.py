@@ -164,3 +164,47 @@ def settling(c, width, eps, e0):
         lambda t, y: -c * y + width(t), (0.0, 20.0), [abs(e0)], t_eval=ts, rtol=1e-9, atol=1e-12, max_step=0.01
     ).y[0]
     return ts[np.flatnonzero(envelope >= eps / c)[-1]]
+
+
+class Narrowing(qj.AbstractFunnel):
+    """1 / (1 + t) + 0.1, with a rate that may be wrong, as a user may write it."""
+
+    rate_is: float = -1.0
+
+    def width_and_rate(self, t):
+        """By hand."""
+        return 1.0 / (1.0 + t) + 0.1, self.rate_is / (1.0 + t) ** 2
+
+    def centre_and_rate(self, t):
+        """Around 0."""
+        return 0.0, 0.0
+
+    bandwidths, narrowest, steepest, rate = (0.1, 1.1), 0.1, 1.0, 1.0
+    break_times = np.zeros(0)
+
+    def reaching_time(self, bandwidth):
+        """By hand."""
+        return 1.0 / (bandwidth - 0.1) - 1.0
+
+    def enclosing(self, bandwidth):
+        """Wide enough."""
+        return qj.Funnel(1.0, 1e-3, 0.1)
+
+    def is_valid(self):
+        """Always."""
+        return jnp.array(True)
+
+
+def test_a_rate_that_is_not_the_derivative_is_named():
+    with pytest.raises(qj.InputError, match=r"Derivative 1 of `Narrowing`, its half-width, must be .* instead of -"):
+        qj.simulate(loop_in(F.Asymmetric(FUNNELS["finite time"][0], Narrowing(-2.0))), [0.5], 3.0, bandwidth=BANDWIDTH)
+
+
+@pytest.mark.slow
+def test_a_funnel_of_ones_own_is_the_same_given_as_a_function():
+    own, function = (
+        qj.simulate(loop_in(each), [0.5], 3.0, bandwidth=BANDWIDTH)
+        for each in (Narrowing(), F.Smooth(lambda t: 1.0 / (1.0 + t) + 0.1))
+    )
+    assert own.verdict is function.verdict
+    assert float(own.metrics.peak_ratio) == pytest.approx(float(function.metrics.peak_ratio), rel=1e-9)
