@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from qsmc_jax.model.recording import Recording as Recording
     from qsmc_jax.model.references import AbstractReference as AbstractReference
     from qsmc_jax.model.state_space import AbstractStateSpace as AbstractStateSpace
+    from qsmc_jax.multivariable import MultivariableLoop as MultivariableLoop
     from qsmc_jax.report.saved import load as load
     from qsmc_jax.report.saved import save as save
     from qsmc_jax.robustness.comparison import Comparison as Comparison
@@ -97,6 +98,7 @@ _HOMES = {
     "Jitter": "qsmc_jax.implementation.implementation",
     "random_jitter": "qsmc_jax.implementation.implementation",
     "ClosedLoop": "qsmc_jax.loop",
+    "MultivariableLoop": "qsmc_jax.multivariable",
     "AbstractDisturbance": "qsmc_jax.model.disturbances",
     "AbstractPlant": "qsmc_jax.model.plants",
     "AbstractStateSpace": "qsmc_jax.model.state_space",

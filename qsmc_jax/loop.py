@@ -1,6 +1,6 @@
 """The closed loop as pure functions: plant, reference, disturbance and control, at one instant."""
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -9,62 +9,19 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require
 from qsmc_jax.base.module import AbstractModule, require_fields
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
+from qsmc_jax.channel import Channel
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
+from qsmc_jax.model.own_coordinates import AbstractOwnCoordinates
 from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.references import AbstractReference, Recorded
 from qsmc_jax.model.state_space import AbstractStateSpace
+from qsmc_jax.model.terms import Balance, OwnTerms, Terms
 from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
-
-
-class Balance(NamedTuple):
-    r"""What drives the sliding variable, $\dot\sigma = w + g u$, paper eq. (9).
-
-    Attributes:
-        residual: $w = f - x_{des}^{(n)} + d + \sum_j c_j e^{(j)}$.
-        gain: $g$.
-        disturbance: $d$.
-    """
-
-    residual: RealScalarLike
-    gain: RealScalarLike
-    disturbance: RealScalarLike
-
-
-class Terms(NamedTuple):
-    """What moves the plant at one instant, apart from the input.
-
-    Attributes:
-        drift: f.
-        gain: g, with the fault on it if there is one.
-        disturbance: d.
-        unmatched: What is added to the rates of the first n - 1 states.
-    """
-
-    drift: RealScalarLike
-    gain: RealScalarLike
-    disturbance: RealScalarLike
-    unmatched: Scalars
-
-
-class OwnTerms(NamedTuple):
-    """The same of a plant in its own coordinates.
-
-    Attributes:
-        free: Rates of the states without input.
-        reach: What an input of 1 adds to them.
-        gain: The gain of the sliding variable's derivative.
-        disturbance: d.
-    """
-
-    free: Scalars
-    reach: Scalars
-    gain: RealScalarLike
-    disturbance: RealScalarLike
 
 
 class ClosedLoop(AbstractModule):
@@ -101,7 +58,7 @@ class ClosedLoop(AbstractModule):
 
     hint: ClassVar[str] = "Make one: `qj.ClosedLoop(plant, reference, disturbance, control)`."
 
-    plant: AbstractPlant | AbstractStateSpace
+    plant: AbstractPlant | AbstractStateSpace | Channel
     reference: AbstractReference
     disturbance: AbstractDisturbance
     control: AbstractControl
@@ -131,6 +88,11 @@ class ClosedLoop(AbstractModule):
         )
 
     @property
+    def channels(self) -> "tuple[ClosedLoop, ...]":
+        """The loop itself: it has one input. See `MultivariableLoop`."""
+        return (self,)
+
+    @property
     def order(self) -> int:
         """The order n of the plant; of one in its own coordinates its relative degree: the number of errors."""
         return self.plant.order
@@ -149,6 +111,14 @@ class ClosedLoop(AbstractModule):
     def axis(self) -> str:
         """What a state is numbered by: derivatives of the output, unless the plant has coordinates of its own."""
         return "derivative" if isinstance(self.plant, AbstractPlant) else "state"
+
+    def widths(self, bandwidth: RealScalarLike | None) -> Scalars:
+        """The bandwidth of each channel, of which there is one; twice where the funnel ends if none is given.
+
+        Args:
+            bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
+        """
+        return (2.0 * self.control.funnel.bandwidths[0] if bandwidth is None else bandwidth,)
 
     def desired(self, t: RealScalarLike) -> tuple[RealScalarLike, ...]:
         """The desired output and its first n derivatives at time t [s]: n + 1 scalars.
@@ -242,7 +212,7 @@ class ClosedLoop(AbstractModule):
             s: Funnel coordinate [-].
         """
         if isinstance(self.control, QuasiSlidingControl):
-            return self.control.at(s)
+            return self.control.at(s, t)
         return self.command(t, errors, desired, self.control.funnel(t) * ratio(s))
 
     def steepness(self, t: RealScalarLike, errors: State, desired: State, deviation: RealScalarLike) -> RealScalarLike:
@@ -269,23 +239,34 @@ class ClosedLoop(AbstractModule):
             errors: Errors, n scalars.
             desired: Desired output and its first n derivatives.
         """
-        d = self.disturbance(t)
-        if isinstance(self.plant, AbstractStateSpace):
+        d = self.disturbed(t)
+        if isinstance(self.plant, AbstractOwnCoordinates):
             _, rates = self.errors_in_motion(t, x, self.plant.vector_field(t, x, d))
             return Balance(self.control.surface(rates), self.gain(t, x), d)
         residual = self.plant.drift(t, x) - desired[self.order] + d + self.control.surface((*errors[1:], 0.0))
         return Balance(residual, self.plant.gain(t, x), d)
 
-    def plain(self, balance: Balance) -> Balance:
+    def disturbed(self, t: RealScalarLike) -> Any:
+        """The value of the disturbance; in a channel of several inputs those of all disturbances.
+
+        Args:
+            t: Time [s].
+        """
+        return self.plant.disturbed(t) if isinstance(self.plant, Channel) else self.disturbance(t)
+
+    def plain(self, t: RealScalarLike, balance: Balance) -> Balance:
         """The balance as the plain tangent sees it: as if gain and offset of the paper's law were the plant's.
 
         Args:
-            balance: The balance.
+            t: Time [s].
+            balance: The balance then.
         """
         law = self.control
         if not isinstance(law, QuasiSlidingControl):
             return balance
-        return balance._replace(residual=balance.residual + balance.gain * law.offset, gain=balance.gain * law.gain)
+        return balance._replace(
+            residual=balance.residual + balance.gain * law.offset, gain=balance.gain * law.gain_at(t)
+        )
 
     def gain(self, t: RealScalarLike, x: State) -> RealScalarLike:
         """The gain g of the sliding variable's derivative.
@@ -308,7 +289,7 @@ class ClosedLoop(AbstractModule):
         """
         if isinstance(self.plant, AbstractPlant):
             return self.rates(self.terms(t, x), x, u)
-        free, reach = self.plant.vector_field(t, x, self.disturbance(t)), self.plant.input_matrix(t, x)
+        free, reach = self.plant.vector_field(t, x, self.disturbed(t)), self.plant.input_matrix(t, x)
         return tuple(fi + gi * u for fi, gi in zip(free, reach, strict=True))
 
     def coasted(self, t: RealScalarLike, x: State, dt: RealScalarLike) -> Scalars:
@@ -331,8 +312,8 @@ class ClosedLoop(AbstractModule):
         """
         implementation, plant = self.implementation, self.plant
         fault = None if implementation is None else implementation.gain_fault
-        if isinstance(plant, AbstractStateSpace):
-            d, part = self.disturbance(t), 1.0 if fault is None else fault(t)
+        if isinstance(plant, AbstractOwnCoordinates):
+            d, part = self.disturbed(t), 1.0 if fault is None else fault(t)
             reach = tuple(gi * part for gi in plant.input_matrix(t, x))
             return OwnTerms(tuple(plant.vector_field(t, x, d)), reach, self.gain(t, x) * part, d)
         gain = plant.gain(t, x)

@@ -78,7 +78,7 @@ def simulate(
     """Solve the nominal run of a study, or replay one run of a verification, in full."""
     with session(cache):
         from qsmc_jax import SolverSettings
-        from qsmc_jax.metrics.claims import STATEMENTS, gravest
+        from qsmc_jax.metrics.claims import gravest, is_requirement
         from qsmc_jax.report.folder import ResultFolder
         from qsmc_jax.report.signals import metrics_as_numbers
 
@@ -96,13 +96,13 @@ def simulate(
                 folder.add_table("signals.parquet", run.columns())
                 folder.add_result(run)
                 folder.add_picture("run.png", run.plot)
-                if run.loop.order == 2:
+                if len(run.loop.channels) == 1 and run.loop.order == 2:
                     folder.add_picture("phase_plane.png", run.plot_phase_plane)
                 folder.commit()
                 if not as_json:
                     say(f"Written to {out}.")
     # The horizon of one run may be too short for the later claims of Theorem 1.
-    judged = [verdict for claim, verdict in run.verdicts.items() if claim == "funnel" or claim not in STATEMENTS]
+    judged = [verdict for claim, verdict in run.verdicts.items() if claim == "funnel" or is_requirement(claim)]
     raise typer.Exit(code_of(gravest(judged).name))
 
 

@@ -3,6 +3,7 @@
 import math
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -20,14 +21,16 @@ class QuasiSlidingControl(AbstractControl):
 
     Of the plant it knows the order and the sign of the gain. Theorem 1 holds with any K and $u_0$: the loop is the
     paper's with the gain $K g$ and the disturbance $d + g u_0$. K brings the input's unit and size, $u_0$ what it is at
-    rest.
+    rest. The scaled law, $u_0 - \operatorname{sgn}(g) K \tan(\frac{\pi\sigma}{2\rho}) / \rho$, grows as the funnel
+    narrows; it is the one with a proof for several coupled inputs, see `MultivariableLoop`.
 
     Attributes:
         surface: Sliding surface, $\sigma$ as a function of the errors.
         funnel: Funnel $\rho(t)$; about a centre m the law acts on $\sigma - m$.
         gain_sign: The sign of the control gain g, 1 or -1.
-        gain: K, in units of the input, positive.
+        gain: K, positive, in units of the input; of the scaled law, times those of the sliding variable.
         offset: $u_0$, in units of the input.
+        is_scaled: Whether the tangent is divided by the funnel's half-width.
 
     Examples:
         Half-way to the edge the input is 1:
@@ -48,6 +51,7 @@ class QuasiSlidingControl(AbstractControl):
     gain_sign: Float[Array, ""] = float_field(default=1.0)
     gain: Float[Array, ""] = float_field(default=1.0)
     offset: Float[Array, ""] = float_field(default=0.0)
+    is_scaled: bool = eqx.field(static=True, default=False)
 
     positive: ClassVar[tuple[str, ...]] = ("gain",)
 
@@ -56,23 +60,33 @@ class QuasiSlidingControl(AbstractControl):
 
     def __call__(self, sigma: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
         r"""The control at `sigma`, from the funnel's centre, and half-width `rho`; NaN unless $|\sigma| < \rho$."""
-        return self._input(tan_half_pi(sigma, rho))
+        return self._input(tan_half_pi(sigma, rho), rho)
 
-    def at(self, s: RealScalarLike) -> RealScalarLike:
+    def at(self, s: RealScalarLike, t: RealScalarLike) -> RealScalarLike:
         r"""The control at the funnel coordinate `s`, where the tangent is $\sinh s$.
 
         Args:
             s: Funnel coordinate [-].
+            t: Time [s].
         """
-        return self._input(sinh_cosh(s)[0])
+        return self._input(sinh_cosh(s)[0], self.funnel(t) if self.is_scaled else 1.0)
+
+    def gain_at(self, t: RealScalarLike) -> RealScalarLike:
+        """What the tangent is multiplied by at a time: K, or K over the funnel's half-width then.
+
+        Args:
+            t: Time [s].
+        """
+        return self.gain / self.funnel(t) if self.is_scaled else self.gain
 
     def first_memory(self) -> Scalars:
         return ()
 
     def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
         if sample.beyond == "wrap":
-            return self._input(jnp.tan(0.5 * math.pi * sample.inside() / sample.rho)), ()
+            return self._input(jnp.tan(0.5 * math.pi * sample.inside() / sample.rho), sample.rho), ()
         return self(sample.inside(), sample.rho), ()
 
-    def _input(self, tangent: RealScalarLike) -> Float[Array, ""]:
-        return self.offset - self.gain_sign * self.gain * tangent
+    def _input(self, tangent: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
+        gain = self.gain / rho if self.is_scaled else self.gain
+        return self.offset - self.gain_sign * gain * tangent

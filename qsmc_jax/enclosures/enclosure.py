@@ -77,7 +77,7 @@ def enclose(fn: Callable[..., Any], *box: Enclosed, rounding: Rounding = Roundin
     """
     points = [jnp.asarray(side) if is_point(side) else side.lo for side in box]
     program = jax.make_jaxpr(fn)(*points)
-    walk = _Walk(rounding)
+    walk = Walk(rounding)
     try:
         values = evaluated(program, box, walk.results)
     except UnknownProgramError as error:
@@ -89,15 +89,26 @@ class CannotEncloseError(Exception):
     """A primitive without a rule has results that are no numbers, such as random keys; or nothing can be read."""
 
 
-class _Walk:
-    """One pass through a program; what it finds on the way."""
+class Walk:
+    """One pass through a program; what it finds on the way.
+
+    Attributes:
+        rounding: How the ends are rounded.
+        jumps: Whether any operation so far may jump.
+        unknown: Primitives without a rule so far.
+    """
 
     def __init__(self, rounding: Rounding):
         self.rounding, self.jumps = rounding, jnp.zeros((), bool)
         self.unknown: set[str] = set()
 
     def results(self, eqn: Equation, operands: list[Enclosed]) -> Sequence[Enclosed]:
-        """The results of one operation, points where its operands are."""
+        """The results of one operation, points where its operands are.
+
+        Args:
+            eqn: The operation.
+            operands: What it is given.
+        """
         name = eqn.name
         if name in CALLS | CUSTOM_CALLS:
             return self._call(eqn, operands)

@@ -12,13 +12,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.types import RealScalarLike
-from qsmc_jax.enclosures.enclosure import CannotEncloseError, Enclosure, enclose
+from qsmc_jax.enclosures.each import enclose_each
+from qsmc_jax.enclosures.enclosure import CannotEncloseError, Enclosure
 from qsmc_jax.enclosures.intervals import Interval, interval, is_point
 
 # Instants at which a function is looked at that cannot be enclosed.
 _PROBES = 33
 # Over a time so short, relative to itself, what has no bound, such as x / |x|, is believed to be what the nodes show.
 _FINEST = 2.0**-40
+# What is raised where a function has no forward derivative, or one that can't be enclosed.
+_NO_SLOPE = TypeError, NotImplementedError, CannotEncloseError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,36 +109,83 @@ class Unseen:
 def unseen(fn: Callable[[RealScalarLike], Any], step: Step) -> Unseen:
     """By how much a function of time may pass, within a step, what it takes at the nodes.
 
-    The lesser of two bounds holds: its enclosure over the whole step; and, unless it may jump, what its steepest rise
-    and fall there allow in the widest gap.
-
     Args:
         fn: The function, traceable, of a time [s].
         step: The step.
     """
+    return unseen_each(lambda t: (fn(t),), step)[0]
+
+
+def unseen_each(
+    fn: Callable[[RealScalarLike], Sequence[Any]], step: Step, once: Callable[[Any], Any] | None = None
+) -> list[Unseen]:
+    """The same of several numbers, which share what they have in common.
+
+    The lesser of two bounds holds: its enclosure over the whole step; and, unless it may jump, what its steepest rise
+    and fall there allow in the widest gap.
+
+    Args:
+        fn: The function, traceable, of a time [s]: so many numbers.
+        step: The step.
+        once: As for `enclose_each`.
+    """
     stretch = Interval(jnp.asarray(step.t0, float), jnp.asarray(step.t1, float))
-    scalar = lambda t: jnp.asarray(fn(t), float)  # noqa: E731
-    whole = _enclosed_or_probed(scalar, stretch)
-    if is_point(whole.values[0]):
-        return Unseen(0.0, whole.values[0], whole.values[0])
-    times = [stretch.lo, *(step.t0 + place * step.length for place in step.nodes.few[1:-1]), stretch.hi]
-    values = [scalar(time) for time in times]
-    low, high = ft.reduce(jnp.minimum, values), ft.reduce(jnp.maximum, values)
-    amount = _beyond(interval(whole.values[0]), low, high)
-    if not whole.unknown:
-        amount = jnp.minimum(amount, _climb(scalar, stretch, _widest(times), whole))
-    is_fine = step.length <= _FINEST * jnp.abs(stretch.hi)
-    amount = jnp.where(is_fine & jnp.isinf(amount), 0.0, amount)
-    return Unseen(amount, low - amount, high + amount, whole.unknown)
-
-
-def _enclosed_or_probed(fn: Callable[[Array], Array], stretch: Interval) -> Enclosure:
-    """An enclosure; where there can be none, the range of the function at evenly spaced instants."""
+    scalars = lambda t: tuple(jnp.asarray(each, float) for each in fn(t))  # noqa: E731
     try:
-        return enclose(fn, stretch)
+        wholes = enclose_each(scalars, stretch, once=once)
     except CannotEncloseError as unknown:
-        probes = jax.vmap(fn)(stretch.lo + np.linspace(0.0, 1.0, _PROBES) * (stretch.hi - stretch.lo))
-        return Enclosure((Interval(jnp.min(probes), jnp.max(probes)),), jnp.ones((), bool), unknown.args)
+        count = len(jax.eval_shape(scalars, stretch.lo))
+        if count > 1:
+            return [unseen(lambda t, i=i: fn(t)[i], step) for i in range(count)]
+        wholes = (_probed(scalars, stretch, unknown.args),)
+    if all(is_point(whole.values[0]) for whole in wholes):
+        return [Unseen(0.0, whole.values[0], whole.values[0]) for whole in wholes]
+    times = [stretch.lo, *(step.t0 + place * step.length for place in step.nodes.few[1:-1]), stretch.hi]
+    seen, slopes = [scalars(time) for time in times], _slopes(scalars, stretch, wholes, once)
+    is_fine, gap = step.length <= _FINEST * jnp.abs(stretch.hi), _widest(times)
+    found = []
+    for i, whole in enumerate(wholes):
+        if is_point(whole.values[0]):
+            found.append(Unseen(0.0, whole.values[0], whole.values[0]))
+            continue
+        low, high = (ft.reduce(least, [values[i] for values in seen]) for least in (jnp.minimum, jnp.maximum))
+        amount = _beyond(interval(whole.values[0]), low, high)
+        if not whole.unknown:
+            amount = jnp.minimum(amount, _climb(slopes[i], gap, whole))
+        amount = jnp.where(is_fine & jnp.isinf(amount), 0.0, amount)
+        found.append(Unseen(amount, low - amount, high + amount, whole.unknown))
+    return found
+
+
+def _probed(fn: Callable[[Array], Sequence[Array]], stretch: Interval, unknown: tuple[str, ...]) -> Enclosure:
+    """The range of a function at evenly spaced instants, where there can be no enclosure."""
+    places = stretch.lo + np.linspace(0.0, 1.0, _PROBES) * (stretch.hi - stretch.lo)
+    probes = jax.vmap(lambda t: fn(t)[0])(places)
+    return Enclosure((Interval(jnp.min(probes), jnp.max(probes)),), jnp.ones((), bool), unknown)
+
+
+def _slopes(
+    fn: Callable[[Array], Sequence[Array]],
+    stretch: Interval,
+    wholes: Sequence[Enclosure],
+    once: Callable[[Any], Any] | None,
+) -> Sequence[Enclosure | None]:
+    """Enclosures of the derivatives; None where there is none."""
+    is_wanted = [not (whole.unknown or is_point(whole.values[0])) for whole in wholes]
+
+    def each(i: int) -> Enclosure | None:
+        try:
+            slope = lambda t: jax.jvp(lambda t: fn(t)[i], (t,), (jnp.ones_like(t),))[1]  # noqa: E731
+            return enclose_each(lambda t: (slope(t),), stretch)[0]
+        except _NO_SLOPE:
+            return None
+
+    if not any(is_wanted):
+        return [None] * len(wholes)
+    try:
+        return enclose_each(lambda t: jax.jvp(fn, (t,), (jnp.ones_like(t),))[1], stretch, once=once)
+    except _NO_SLOPE:
+        return [each(i) if is_wanted[i] else None for i in range(len(wholes))]
 
 
 def _beyond(range_: Interval, low: Array, high: Array) -> Float[Array, ""]:
@@ -148,13 +198,9 @@ def _widest(times: Sequence[RealScalarLike]) -> RealScalarLike:
     return ft.reduce(jnp.maximum, [b - a for a, b in zip(times, times[1:], strict=False)])
 
 
-def _climb(fn: Callable[[Array], Array], stretch: Interval, gap: RealScalarLike, whole: Enclosure) -> Float[Array, ""]:
+def _climb(slope: Enclosure | None, gap: RealScalarLike, whole: Enclosure) -> Float[Array, ""]:
     """How far up or down a path can lead that comes back at the end of the widest gap."""
-    try:
-        slope = enclose(lambda t: jax.jvp(fn, (t,), (jnp.ones_like(t),))[1], stretch)
-    except (TypeError, NotImplementedError):  # it has no forward derivative
-        return jnp.full((), jnp.inf)
-    if slope.unknown:
+    if slope is None or slope.unknown:
         return jnp.full((), jnp.inf)
     steepest = interval(slope.values[0])
     rise, fall = jnp.maximum(steepest.hi, 0.0), jnp.maximum(-steepest.lo, 0.0)

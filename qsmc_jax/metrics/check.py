@@ -21,8 +21,8 @@ from qsmc_jax.metrics.view import View
 from qsmc_jax.tracing.programs import Program
 from qsmc_jax.tracing.traceable import require_number, trace
 
-# Numbers of states and of errors.
-Sizes: TypeAlias = tuple[int, int]
+# Numbers of states and of errors; with several inputs of the errors of each channel.
+Sizes: TypeAlias = tuple[int, int | tuple[int, ...]]
 
 
 class _Straight(AbstractStep):
@@ -70,6 +70,11 @@ def check_measures(measures: Sequence[AbstractMeasure], start: Signals, horizon:
             _check_part(measure, part, start, horizon)
 
 
+def _sizes_of(signals: Signals) -> Sizes:
+    several = isinstance(signals.sigma, tuple)
+    return len(signals.x), tuple(map(len, signals.e)) if several else len(signals.e)
+
+
 def kind_of(measure: AbstractMeasure) -> str:
     """What users call it."""
     return "metric" if isinstance(measure, AbstractMetric) else "requirement"
@@ -87,7 +92,7 @@ def _check_part(measure: AbstractMeasure, part: AbstractKept, start: Signals, ho
         f"Argument `before` of {kind} `{name}` must not lie beyond the horizon, {horizon:g} s, but is {part.before:g} "
         "s: leave it out for the horizon, or make `t1` longer.",
     )
-    program_of(measure, part, (len(start.x), len(start.e)))
+    program_of(measure, part, _sizes_of(start))
     if isinstance(part, AbstractFunction):
         value = float(np.asarray(part.of(start), float))
         require(
@@ -157,8 +162,13 @@ def _traced(what: str, call: Callable[..., Any], sizes: Sizes, instants: int) ->
 def _stand_ins(sizes: Sizes) -> Signals:
     """Shapes of the signals at one instant."""
     number = jax.ShapeDtypeStruct((), np.float64)
-    x, e = ((number,) * size for size in sizes)
-    return Signals(number, x, e, e, *(number,) * 7)
+    states, errors = sizes
+    x = (number,) * states
+    if isinstance(errors, int):
+        e = (number,) * errors
+        return Signals(number, x, e, e, *(number,) * 7)
+    e, each = tuple((number,) * size for size in errors), (number,) * len(errors)
+    return Signals(number, x, e, e, each, each, each, each, each, each, (each,) * len(errors))
 
 
 def _result(what: str, result: Any) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Int
 
 from qsmc_jax.base.checks import nearest, require
+from qsmc_jax.metrics.record import without_index
 from qsmc_jax.metrics.verdict import Verdict
 
 # What Theorem 1 claims, by the names of the claims.
@@ -26,7 +27,7 @@ TOGETHER = "all"
 
 _FUNNEL, _PREFIX = "verdict", "verdict_"
 # Of several verdicts the first of these that there is.
-_GRAVEST = (Verdict.VIOLATED, Verdict.UNDECIDED, Verdict.INADMISSIBLE)
+GRAVEST = (Verdict.VIOLATED, Verdict.UNDECIDED, Verdict.INADMISSIBLE)
 
 
 def headline(claims: Iterable[str]) -> str:
@@ -35,7 +36,7 @@ def headline(claims: Iterable[str]) -> str:
     Args:
         claims: The claims of a study.
     """
-    return TOGETHER if set(claims) - set(STATEMENTS) else "funnel"
+    return TOGETHER if any(map(is_requirement, claims)) else "funnel"
 
 
 def verdict_column(claim: str) -> str:
@@ -48,12 +49,44 @@ def verdict_column(claim: str) -> str:
 
 
 def margin_column(claim: str) -> str:
-    """The column of the margins of a requirement; of a claim of Theorem 1 that of the funnel.
+    """The column of the margins of a requirement; of a claim of Theorem 1 that of the funnel, or of the channel's.
 
     Args:
         claim: Its name.
     """
-    return "margin" if claim in STATEMENTS else f"margin_{claim}"
+    return f"margin_{claim}" if is_requirement(claim) else f"margin{claim.removeprefix(without_index(claim))}"
+
+
+def claims_of_channels(channels: int) -> tuple[str, ...]:
+    """The claims of Theorem 1 for each of several channels, such as `funnel[0]`; none if there is but one.
+
+    Args:
+        channels: How many there are.
+    """
+    return tuple(f"{claim}[{i}]" for i in range(channels) for claim in STATEMENTS) if channels > 1 else ()
+
+
+def is_requirement(claim: str) -> bool:
+    """Whether a claim is a requirement of the study's, not one of Theorem 1.
+
+    Args:
+        claim: Its name.
+    """
+    return without_index(claim) not in STATEMENTS
+
+
+def statement_of(claim: str) -> str:
+    """What a claim says, in a line.
+
+    Args:
+        claim: Its name, or that of all together.
+    """
+    if claim == TOGETHER:
+        return "all claims together"
+    statement = without_index(claim)
+    if statement not in STATEMENTS:
+        return f"requirement {claim} of the study"
+    return f"{STATEMENTS[statement]}{_in_channel(claim)}"
 
 
 def require_no_claim(name: str) -> None:
@@ -84,7 +117,7 @@ def breaching(claim: str) -> str:
     Args:
         claim: Its name, or that of all together.
     """
-    return "violating a claim" if claim == TOGETHER else _BREACHES.get(claim, (f"violating {claim}",))[0]
+    return "violating a claim" if claim == TOGETHER else _breach(claim, f"violating {claim}", "")[0]
 
 
 def breached(claim: str) -> str:
@@ -93,7 +126,19 @@ def breached(claim: str) -> str:
     Args:
         claim: Its name.
     """
-    return _BREACHES.get(claim, ("", f"violated {claim}"))[1]
+    return _breach(claim, "", f"violated {claim}")[1]
+
+
+def _breach(claim: str, *otherwise: str) -> tuple[str, ...]:
+    """The words for a claim of Theorem 1, with its channel if it is about one; else those given."""
+    words = _BREACHES.get(without_index(claim), otherwise)
+    return tuple(f"{each}{_in_channel(claim)}" for each in words)
+
+
+def _in_channel(claim: str) -> str:
+    """Which channel a claim is about, in words; empty if it is about all."""
+    index = claim.removeprefix(without_index(claim)).strip("[]")
+    return f" in channel {index}" if index else ""
 
 
 def told_of_breaches(row: Mapping[str, Any]) -> str:
@@ -103,7 +148,7 @@ def told_of_breaches(row: Mapping[str, Any]) -> str:
         row: Its row.
     """
     found = [claim for claim in claims_of(row) if claim != "funnel" and row[verdict_column(claim)] == Verdict.VIOLATED]
-    margins = {claim: "" if claim in STATEMENTS else f" by {-row[margin_column(claim)]:.4g}" for claim in found}
+    margins = {claim: f" by {-row[margin_column(claim)]:.4g}" if is_requirement(claim) else "" for claim in found}
     return ", ".join(f"{breached(claim)}{margin}" for claim, margin in margins.items())
 
 
@@ -126,7 +171,7 @@ def gravest(verdicts: Collection[Verdict]) -> Verdict:
     Args:
         verdicts: The verdicts.
     """
-    return next((verdict for verdict in _GRAVEST if verdict in verdicts), Verdict.HELD)
+    return next((verdict for verdict in GRAVEST if verdict in verdicts), Verdict.HELD)
 
 
 def together(verdicts: Int[np.ndarray, "claims rows"]) -> Int[np.ndarray, " rows"]:
@@ -135,5 +180,5 @@ def together(verdicts: Int[np.ndarray, "claims rows"]) -> Int[np.ndarray, " rows
     Args:
         verdicts: Those on each.
     """
-    cases = [(verdicts == verdict).any(axis=0) for verdict in _GRAVEST]
-    return np.select(cases, list(map(int, _GRAVEST)), int(Verdict.HELD))
+    cases = [(verdicts == verdict).any(axis=0) for verdict in GRAVEST]
+    return np.select(cases, list(map(int, GRAVEST)), int(Verdict.HELD))

@@ -10,6 +10,9 @@ from qsmc_jax.base.types import RealScalarLike, Scalars
 class Signals(NamedTuple):
     r"""A loop at one instant: scalars, and tuples of n scalars.
 
+    With several inputs `sigma`, `rho`, `ratio`, `u`, `d` and `w` are tuples of a scalar for each channel, `desired` and
+    `e` of a tuple for each, and `g` is the rows of the decoupling matrix.
+
     Attributes:
         t: Time [s].
         x: State: n scalars, or as many as a plant in its own coordinates has.
@@ -31,15 +34,15 @@ class Signals(NamedTuple):
 
     t: RealScalarLike
     x: Scalars
-    desired: Scalars
-    e: Scalars
-    sigma: RealScalarLike
-    rho: RealScalarLike
-    ratio: RealScalarLike
-    u: RealScalarLike
-    d: RealScalarLike
-    w: RealScalarLike
-    g: RealScalarLike
+    desired: Any
+    e: Any
+    sigma: Any
+    rho: Any
+    ratio: Any
+    u: Any
+    d: Any
+    w: Any
+    g: Any
 
 
 class AbstractStep(AbstractModule):

@@ -96,6 +96,9 @@ class Metrics(AbstractModule):
 
     Attributes:
         sampled: Additional metrics of a loop with an implementation; None for the ideal loop.
+        channels: With several inputs the verdicts and some metrics of each channel, by their columns, such as
+            `peak_ratio[0]`; the others are of all together: the worst, for `energy_u` and `total_variation_u` the sum,
+            for `rms_error` the root of the sum of squares, and `peak_errors` are the channels' one after the other.
         own: The metrics and requirements of the study, by their columns.
 
     Examples:
@@ -214,15 +217,31 @@ class Metrics(AbstractModule):
         worse="high",
         default=None,
     )
+    peak_barrier: Float[Array, ""] | None = metric(
+        meaning="With several inputs sup (1/pi) sum ln(1 + tan^2(pi z_i/2)) over the channels, z = sigma/rho",
+        unit="-",
+        label="sup V",
+        worse="high",
+        has_gradient=True,
+        default=None,
+    )
+    barrier_bound: Float[Array, ""] | None = metric(
+        meaning="With several inputs what Lyapunov's inequality allows for `peak_barrier`, by what drives the run when "
+        "it peaks; a higher peak is a defect of the simulator; inf if the decoupling matrix is not definite there",
+        unit="-",
+        label="bound on sup V",
+        default=None,
+    )
     sampled: SampledMetrics | None = None
+    channels: dict[str, Array] = eqx.field(default_factory=dict)
     own: dict[str, Array] = eqx.field(default_factory=dict)
 
     def named(self) -> dict[str, Any]:
         """Every metric by its name, those of `sampled` and of the study among them."""
         named = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        sampled, own = named.pop("sampled"), named.pop("own")
+        sampled, channels, own = (named.pop(name) for name in ("sampled", "channels", "own"))
         named |= {} if sampled is None else vars(sampled)
-        return {**{name: value for name, value in named.items() if value is not None}, **own}
+        return {**{name: value for name, value in named.items() if value is not None}, **channels, **own}
 
     def columns(self) -> dict[str, Any]:
         """Every metric by the name of its column: `peak_error[i]` is that of the i-th derivative of the error."""
@@ -237,7 +256,9 @@ class Metrics(AbstractModule):
             names: Names of records.
         """
         sampled = None if self.sampled is None else _only(self.sampled, names)
-        return eqx.tree_at(lambda each: each.sampled, _only(self, names), sampled, is_leaf=lambda leaf: leaf is None)
+        wanted = {*names, *(column for name, column in BY_CHANNEL.items() if name in names)}
+        channels = {column: value for column, value in self.channels.items() if without_index(column) in wanted}
+        return dataclasses.replace(_only(self, names), sampled=sampled, channels=channels)
 
 
 def _only(module: _M, names: Collection[str]) -> _M:
@@ -248,13 +269,19 @@ def _only(module: _M, names: Collection[str]) -> _M:
     return eqx.tree_at(lambda each: [getattr(each, field) for field in unasked], module, replace_fn=lambda _: None)
 
 
+# What is told of each of several channels, with the name of the column: the claim on the funnel has a name there.
+BY_CHANNEL = {
+    "verdict": "verdict_funnel",
+    **{name: name for name in ("verdict_reaching", "verdict_tracking", "peak_ratio", "margin", "peak_u", "max_u")},
+    **{name: name for name in ("min_u", "reach_time", "violation_time", "settle_time", "rms_error", "least_gain")},
+}
 # What a study asks for if it says nothing.
 USUAL = ("standard",)
 # The group "claims": what verdicts need, and what is said of them.
 _CLAIMS = (
     *("verdict", "verdict_reaching", "verdict_tracking", "outcome", "end_time", "peak_ratio", "margin", "peak_u"),
     *("reach_time", "violation_time", "settle_time", "least_gain", "largest_disturbance", "steps"),
-    "coordinate_drift",
+    *("coordinate_drift", "peak_barrier", "barrier_bound"),
 )
 # Names by which metrics are told where they are no columns.
 FIELDS = tuple(field.name for field in dataclasses.fields(Metrics))

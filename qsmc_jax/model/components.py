@@ -18,8 +18,20 @@ def components(plant: AbstractPlant | AbstractStateSpace) -> dict[str, Component
     """
     if isinstance(plant, AbstractPlant):
         return {"drift": lambda plant, t, x, d: plant.drift(t, x), "gain": lambda plant, t, x, d: plant.gain(t, x)}
-    found: dict[str, Component] = {"output": lambda plant, t, x, d: plant.output(t, x)}
+    channels = range(len(plant.relative_degrees))
+    if len(channels) == 1:
+        found: dict[str, Component] = {"output": lambda plant, t, x, d: plant.output(t, x)}
+    else:
+        found = {f"output[{k}]": lambda plant, t, x, d, k=k: plant.output(t, x)[k] for k in channels}
     for i in range(plant.states):
-        found[f"vector_field[{i}]"] = lambda plant, t, x, d, i=i: plant.vector_field(t, x, d)[i]
-        found[f"input_matrix[{i}]"] = lambda plant, t, x, d, i=i: plant.input_matrix(t, x)[i]
+        found[f"vector_field[{i}]"] = lambda plant, t, x, d, i=i: plant.vector_field(t, x, _all(plant, d))[i]
+        for j in channels:
+            name = f"input_matrix[{i}]" if len(channels) == 1 else f"input_matrix[{i}][{j}]"
+            found[name] = lambda plant, t, x, d, i=i, j=j: plant.column(t, x, j)[i]
     return found
+
+
+def _all(plant: AbstractStateSpace, d: Any) -> Any:
+    """The value of the disturbance for all channels, given one for all of them or each."""
+    several = len(plant.relative_degrees)
+    return d if several == 1 or isinstance(d, tuple) else (d,) * several

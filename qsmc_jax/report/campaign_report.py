@@ -15,7 +15,7 @@ from qsmc_jax.campaign.commands import verify_command
 from qsmc_jax.campaign.config import settings_in
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.display.plotting import as_png
-from qsmc_jax.metrics.claims import STATEMENTS, told_of_breaches
+from qsmc_jax.metrics.claims import is_requirement, told_of_breaches
 from qsmc_jax.metrics.standard import USUAL
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.report.sensitivity import Sensitivity
@@ -103,7 +103,7 @@ def page(folder: RunFolder, summary: Mapping[str, Any], sensitivity: Sensitivity
 def _told_claims(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """The claims; with requirements among them, all together too."""
     claims = summary["claims"]
-    return [*claims, summary["together"]] if len(claims) > len(STATEMENTS) else claims
+    return [*claims, summary["together"]] if any(is_requirement(each["name"]) for each in claims) else claims
 
 
 def _sentence(claim: Mapping[str, Any], summary: Mapping[str, Any]) -> str:

@@ -143,7 +143,7 @@ def _encoded(value: Any, arrays: list[np.ndarray], place: tuple[str | int, ...])
         return {"scalar" if isinstance(value, np.generic) else "array": f"a{len(arrays) - 1}"}
     if isinstance(value, Study):
         values = {name: _encoded(each, arrays, ()) for name, each in value.values.items()}
-        return {"study": value.contents, "bandwidth": float(value.bandwidth).hex(), "values": {"map": values}}
+        return {"study": value.contents, "bandwidth": _hexed(value.bandwidth), "values": {"map": values}}
     if isinstance(value, AbstractMeasure):
         return {"measure": value.name, "kind": type(value).__name__}
     if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
@@ -238,15 +238,17 @@ class _Reader:
             object.__setattr__(made, field, self.decoded(each))
         return made
 
-    def _study(self, study: Any, bandwidth: str, values: Mapping[str, Any]) -> Study:
+    def _study(self, study: Any, bandwidth: str | list[str], values: Mapping[str, Any]) -> Study:
         """The study that was given, if it is the one, with the values of the result's."""
         require(isinstance(self.of, Study), f"The result is of a study. {_NEEDED}")
         given: Any = self.of
-        wanted, width = {tuple(each) for each in study}, float.fromhex(bandwidth)
+        wanted, has = {tuple(each) for each in study}, _hexed(given.bandwidth)
         differ = sorted({part for part, _ in wanted ^ set(given.contents)})
         require(not differ, f"Argument `of` must be the study of the result, but differs in: {', '.join(differ)}.")
-        is_same = float(given.bandwidth) == width
-        require(is_same, f"Argument `of` must have the bandwidth {width!r}, but has {float(given.bandwidth)!r}.")
+        require(
+            has == bandwidth,
+            f"Argument `of` must have the bandwidth {_unhexed(bandwidth)!r}, but has {_unhexed(has)!r}.",
+        )
         return dataclasses.replace(given, values=self.decoded(values))
 
     def _named(self, name: str) -> Any:
@@ -260,6 +262,15 @@ class _Reader:
         known = {each for each in self.own if each.__qualname__ == cls}
         require(len(known) == 1, f"The result holds a `{cls}`, a class of your own. {_NEEDED}")
         return known.pop()
+
+
+def _hexed(bandwidth: Any) -> str | list[str]:
+    """A bandwidth to the last bit; of several channels a list."""
+    return float(bandwidth).hex() if np.ndim(bandwidth) == 0 else [float(each).hex() for each in bandwidth]
+
+
+def _unhexed(bandwidth: str | list[str]) -> float | list[float]:
+    return float.fromhex(bandwidth) if isinstance(bandwidth, str) else list(map(float.fromhex, bandwidth))
 
 
 def _unknown(name: str) -> str:

@@ -172,15 +172,18 @@ def noise_bound(implementation: Implementation, loop: ClosedLoop) -> Any:
 
 
 def _operating_range(study: Study) -> OperatingRange | None:
-    """What the nominal run of the ideal loop meets; None if there is no such run."""
-    nominal = study.nominal
-    if not isinstance(nominal.loop.control, QuasiSlidingControl):
+    """What the nominal run of the ideal loop meets; None if there is no such run, or there are several inputs."""
+    nominal, given = study.nominal, study.nominal.loop
+    if not isinstance(given, ClosedLoop):
         return None
-    loop, law = dataclasses.replace(nominal.loop, implementation=None), nominal.loop.control
+    law = given.control
+    if not isinstance(law, QuasiSlidingControl) or law.is_scaled:
+        return None
+    loop = dataclasses.replace(given, implementation=None)
     ts = np.linspace(0.0, float(nominal.t1), _TIMES)
     run = simulate(loop, nominal.x0, nominal.t1, bandwidth=study.bandwidth, ts=ts)
     steady = ts >= run.reaching_time
-    residual, gain, load = _balances(run)
+    residual, gain, load = _balances(loop, run)
     if run.outcome != Outcome.COMPLETED or not steady.any() or not np.all(gain > 0.0):
         return None
     # The slope of the law where the run is, which is that at rest if w is what the input holds against.
@@ -202,13 +205,14 @@ def _operating_range(study: Study) -> OperatingRange | None:
 
 
 @entry_point
-def _balances(run: Trajectory) -> tuple[Float[Array, " times"], Float[Array, " times"], Float[Array, " times"]]:
+def _balances(
+    loop: ClosedLoop, run: Trajectory
+) -> tuple[Float[Array, " times"], Float[Array, " times"], Float[Array, " times"]]:
     """The residual less the centre's rate, |gain| with the sign that the law takes it to have, the funnel's load."""
-    loop = run.loop
 
     def at(t: Array, row: Float[Array, " n"]) -> tuple[Array, Array, Array]:
         x = tuple(row[i] for i in range(loop.states))
-        balance, funnel = loop.plain(loop.balance(t, x, loop.errors(t, x), loop.desired(t))), loop.control.funnel
+        balance, funnel = loop.plain(t, loop.balance(t, x, loop.errors(t, x), loop.desired(t))), loop.control.funnel
         residual, gain = balance.residual - funnel.centre_and_rate(t)[1], loop.control.gain_sign * balance.gain
         return jnp.asarray(residual), jnp.asarray(gain), jnp.asarray(funnel.load(t, balance.residual))
 

@@ -14,7 +14,8 @@ from qsmc_jax.implementation.actuators import AbstractActuator
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.components import components
-from qsmc_jax.model.unseen import is_consistent, is_known, is_own
+from qsmc_jax.multivariable import MultivariableLoop
+from qsmc_jax.simulation.finite import is_ours
 from qsmc_jax.tracing.digest import digest
 from qsmc_jax.tracing.traceable import trace
 
@@ -24,15 +25,14 @@ Contents: TypeAlias = tuple[tuple[str, str], ...]
 _Part: TypeAlias = tuple[Any, Callable[..., Any], tuple[Any, ...]]
 
 
-def brought(loop: ClosedLoop) -> Contents:
+def brought(loop: ClosedLoop | MultivariableLoop) -> Contents:
     """The same, but nothing for a loop in which all is the library's."""
-    is_ours = is_known(loop.plant) and is_consistent(loop.reference) and is_own(loop.disturbance)
-    is_ours &= isinstance(loop.control, QuasiSlidingControl)
+    is_papers = all(isinstance(channel.control, QuasiSlidingControl) for channel in loop.channels)
     is_plain = loop.implementation is None and not any(map(callable, jax.tree.leaves(loop)))
-    return () if is_ours and is_plain else functions_of(loop)
+    return () if is_ours(loop) and is_papers and is_plain else functions_of(loop)
 
 
-def functions_of(loop: ClosedLoop) -> Contents:
+def functions_of(loop: ClosedLoop | MultivariableLoop) -> Contents:
     """Hashes of the programs of what the user may have written, for numbers of the loop that are not known yet.
 
     Whatever such a function reads from outside, a global say, is in them: JAX keeps programs by what a loop looks like.
@@ -40,7 +40,22 @@ def functions_of(loop: ClosedLoop) -> Contents:
     number = jax.ShapeDtypeStruct((), np.float64)
     given, plant = (number, (number,) * loop.states, number), type(loop.plant).__name__
     parts: dict[str, _Part] = {
-        **{f"{name} of `{plant}`": (loop.plant, each, given) for name, each in components(loop.plant).items()},
+        f"{name} of `{plant}`": (loop.plant, each, given) for name, each in components(loop.plant).items()
+    }
+    for i, channel in enumerate(loop.channels):
+        of = f" of channel {i}" if len(loop.channels) > 1 else ""
+        parts |= {f"{name}{of}": part for name, part in _signals(channel).items()}
+    if isinstance(loop, ClosedLoop) and loop.implementation is not None:
+        parts |= _law(loop, loop.implementation.beyond) | _implemented(loop.implementation)
+    elif isinstance(loop, ClosedLoop) and not isinstance(loop.control, QuasiSlidingControl):
+        parts |= _law(loop, "wrap")
+    return tuple((name, digest(trace(name, "its arguments", *part[:2], *part[2])[0])) for name, part in parts.items())
+
+
+def _signals(loop: ClosedLoop) -> dict[str, _Part]:
+    """The same of disturbance, reference and funnel."""
+    number = jax.ShapeDtypeStruct((), np.float64)
+    parts: dict[str, _Part] = {
         f"disturbance `{type(loop.disturbance).__name__}`": (loop.disturbance, lambda d, t: d(t), (number,)),
         f"reference `{type(loop.reference).__name__}`": (
             loop.reference,
@@ -51,11 +66,7 @@ def functions_of(loop: ClosedLoop) -> Contents:
     if not isinstance(loop.control.funnel, Funnel):
         name = f"funnel `{type(loop.control.funnel).__name__}`"
         parts[name] = loop.control.funnel, lambda f, t: (f.width_and_rate(t), f.centre_and_rate(t)), (number,)
-    if loop.implementation is not None:
-        parts |= _law(loop, loop.implementation.beyond) | _implemented(loop.implementation)
-    elif not isinstance(loop.control, QuasiSlidingControl):
-        parts |= _law(loop, "wrap")
-    return tuple((name, digest(trace(name, "its arguments", *part[:2], *part[2])[0])) for name, part in parts.items())
+    return parts
 
 
 def _law(loop: ClosedLoop, beyond: Beyond) -> dict[str, _Part]:

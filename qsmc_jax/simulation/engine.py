@@ -1,13 +1,15 @@
 """The one place that solves a run: a problem, a start and a horizon in, metrics (and signals) out."""
 
+import functools as ft
 from collections.abc import Hashable
-from typing import cast
+from typing import Any, cast
 
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from qsmc_jax.base.checks import require
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.control.settling import settling_time
@@ -16,16 +18,18 @@ from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.model.recording import is_recorded
+from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.barrier import Barrier
 from qsmc_jax.simulation.break_times import break_times
 from qsmc_jax.simulation.ideal.accumulate import first_metrics
+from qsmc_jax.simulation.ideal.coordinates import AbstractCoordinates
 from qsmc_jax.simulation.ideal.guarded_solver import GuardedSolver, Run
-from qsmc_jax.simulation.ideal.lifted import named_coordinates
+from qsmc_jax.simulation.ideal.lifted import ChannelCoordinates, named_coordinates
 from qsmc_jax.simulation.ideal.read import FinalState, read_metrics
 from qsmc_jax.simulation.ideal.step_size import SAME_TIME, StepSize
 from qsmc_jax.simulation.outcome import Outcome
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
 from qsmc_jax.simulation.sampled.loop import run_sampled
 from qsmc_jax.simulation.sampled.read import read_sampled_metrics
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
@@ -38,42 +42,69 @@ _FIRST_STEP = 1e-3
 
 
 def pose(
-    loop: ClosedLoop,
+    loop: ClosedLoop | MultivariableLoop,
     x0: State,
-    bandwidth: RealScalarLike,
+    bandwidth: Any,
     settings: SolverSettings,
     made_of: Hashable = (),
     measures: tuple[AbstractMeasure, ...] = (),
-) -> Problem:
+) -> AbstractProblem:
     """The problem of solving a loop from a start: its thresholds and the coordinates that the settings name.
 
     Args:
         loop: The loop.
         x0: The start, n scalars.
-        bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable.
+        bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variable; of several channels one for all,
+            or m of them.
         settings: The settings.
         made_of: Whatever tells loops apart that look alike, since what their functions read from outside differs.
         measures: The study's own metrics and requirements.
     """
+    require(
+        isinstance(loop, ClosedLoop) or settings.coordinates == "funnel",
+        'Setting `coordinates` must be "funnel" for a loop with several inputs, which is solved in no other.',
+    )
+    barrier, kept = Barrier(settings.rtol / settings.rtol), (made_of, settings.rtol)
+    if isinstance(loop, ClosedLoop):
+        coordinates = named_coordinates(settings.coordinates, loop)
+        return _posed(loop, x0, bandwidth, coordinates, barrier, *kept, measures)
+    widths = jnp.broadcast_to(jnp.asarray(bandwidth), (len(loop.controls),))
+    channels = tuple(
+        _posed(each, x0, width, ChannelCoordinates(), barrier, *kept)
+        for each, width in zip(loop.channels, widths, strict=True)
+    )
+    return JointProblem(loop, channels, barrier, settings.rtol, measures)
+
+
+def _posed(
+    loop: ClosedLoop,
+    x0: State,
+    bandwidth: RealScalarLike,
+    coordinates: AbstractCoordinates,
+    barrier: Barrier,
+    made_of: Hashable,
+    rtol: RealScalarLike,
+    measures: tuple[AbstractMeasure, ...] = (),
+) -> Problem:
     surface, funnel = loop.control.surface, loop.control.funnel
     gains = peak_gains(surface.c)
     bounds = tuple(bandwidth * gains[i] for i in range(loop.order))
     return Problem(
         loop=loop,
-        coordinates=named_coordinates(settings.coordinates, loop),
+        coordinates=coordinates,
         bandwidth=bandwidth,
         reaching_time=funnel.reaching_time(bandwidth),
         error_bounds=bounds,
         settling_time=settling_time(surface.c, funnel, bandwidth, bounds, loop.errors(0.0, x0)),
-        barrier=Barrier(settings.rtol / settings.rtol),
+        barrier=barrier,
         made_of=made_of,
-        rtol=settings.rtol,
+        rtol=rtol,
         measures=measures,
     )
 
 
 def solve(
-    problem: Problem,
+    problem: AbstractProblem,
     x0: State,
     t1: RealScalarLike,
     settings: SolverSettings,
@@ -91,10 +122,11 @@ def solve(
         is_drawn_well: Whether what was drawn for the run had arguments in range; if not, it is refused.
 
     Returns:
-        The metrics, and at `ts` the coordinates (n arrays), or for a loop with an implementation the states and the
-        input (n + 1 arrays); meaningless after the end of a run that stopped early or was refused.
+        The metrics, and at `ts` the coordinates (an array each), or for a loop with an implementation the states and
+        the input (n + 1 arrays); meaningless after the end of a run that stopped early or was refused.
     """
-    solver = _solve_ideal if problem.loop.implementation is None else _solve_sampled
+    is_sampled = isinstance(problem, Problem) and problem.loop.implementation is not None
+    solver = _solve_sampled if is_sampled else _solve_ideal
     solver = vectorised(solver) if settings.vectorise else solver
     return solver(problem, x0, t1, settings, ts, is_drawn_well)
 
@@ -117,22 +149,22 @@ def _solve_sampled(
 
 
 def _solve_ideal(
-    problem: Problem,
+    problem: AbstractProblem,
     x0: State,
     t1: RealScalarLike,
     settings: SolverSettings,
     ts: Float[Array, " times"] | None,
     is_drawn_well: BoolScalarLike,
 ) -> tuple[Metrics, tuple[Array, ...] | None]:
-    refused = _refusal(problem, x0, is_drawn_well & is_recorded(problem.loop, t1))
+    refused = _refusal(problem, x0, t1, is_drawn_well)
     is_admitted = refused == Outcome.COMPLETED
     horizon = jnp.asarray(t1)
     # A refused run is given no time: it takes no step, and holds up nobody in its block.
     end = jnp.where(is_admitted, horizon, 0.0)
     times = None if ts is None else jnp.where(is_admitted, ts, 0.0)
-    start = problem.coordinates.start(problem.loop, x0)
+    start = problem.start(x0)
     # Where that is not a number, the start itself will do: as it is, and where s comes beside it with a 0.
-    y0 = pytrees.where(is_admitted, start, (*x0, 0.0)[: len(start)])
+    y0 = pytrees.where(is_admitted, start, (*x0, *(0.0,) * len(problem.channels))[: len(start)])
     run0 = Run(y0, first_metrics(problem, y0))
     solution = dfx.diffeqsolve(
         dfx.ODETerm(_carry),
@@ -151,41 +183,52 @@ def _solve_ideal(
         throw=False,
     )
     last, saved = solution.ys  # pyright: ignore[reportGeneralTypeIssues]  # None only if nothing is saved
+    end_time, run = solution.ts[0][0], pytrees.first(last)  # pyright: ignore[reportOptionalSubscript]
     final = FinalState(
         refused=refused,
         horizon=horizon,
-        end_time=solution.ts[0][0],  # pyright: ignore[reportOptionalSubscript]
-        run=pytrees.first(last),
+        end_time=end_time,
+        run=run,
+        rates=problem.vector_field(end_time, run.y),
         result=solution.result,
-        first_height=run0.running.peak.height,
+        first_heights=tuple(each.peak.height for each in run0.running.channels),
         steps=solution.stats["num_steps"],
     )
     return read_metrics(problem, final), saved
 
 
-def _carry(t: RealScalarLike, run: Run, problem: Problem) -> Run:
+def _carry(t: RealScalarLike, run: Run, problem: AbstractProblem) -> Run:
     """The vector field over the whole integrated state; the solver itself only ever asks for that of `y`."""
-    return Run(problem.coordinates.vector_field(t, run.y, problem.loop), pytrees.zeros_like(run.running))
+    return Run(problem.vector_field(t, run.y), pytrees.zeros_like(run.running))
 
 
-def _first_step(problem: Problem, x0: State, run0: Run, horizon: RealScalarLike) -> RealScalarLike:
+def _first_step(problem: AbstractProblem, x0: State, run0: Run, horizon: RealScalarLike) -> RealScalarLike:
     r"""A part of the time that the loop needs to answer, $2 \rho / (\pi |g| \cosh^2 s)$, and of the horizon."""
-    answer = jnp.abs(problem.loop.gain(0.0, x0)) * (1.0 + run0.running.input.sinh**2) / problem.loop.control.funnel(0.0)
-    return jax.lax.stop_gradient(_FIRST_STEP / (1.0 / horizon + answer))
+    answers = [
+        jnp.abs(each.loop.gain(0.0, x0)) * (1.0 + running.input.sinh**2) / each.loop.control.funnel(0.0)
+        for each, running in zip(problem.channels, run0.running.channels, strict=True)
+    ]
+    return jax.lax.stop_gradient(_FIRST_STEP / (1.0 / horizon + ft.reduce(jnp.maximum, answers)))
 
 
-def _refusal(problem: Problem, x0: State, is_drawn_well: BoolScalarLike) -> Int[Array, ""]:
+def _refusal(problem: AbstractProblem, x0: State, t1: RealScalarLike, is_drawn_well: BoolScalarLike) -> Int[Array, ""]:
     """COMPLETED if the premises at the start hold, else the outcome that names the broken one."""
-    control = problem.loop.control
-    sigma = problem.loop.sliding_variable(0.0, x0) - control.funnel.centre(0.0)
-    starts_inside = jnp.abs(sigma) < control.funnel(0.0)
-    code = jnp.where(starts_inside, int(Outcome.COMPLETED), int(Outcome.STARTED_OUTSIDE))
-    return jnp.where(control.is_valid() & is_drawn_well, code, int(Outcome.BAD_PARAMETERS))
+    starts_inside, is_fit = [], is_drawn_well
+    for each in problem.channels:
+        control = each.loop.control
+        sigma = each.loop.sliding_variable(0.0, x0) - control.funnel.centre(0.0)
+        starts_inside.append(jnp.abs(sigma) < control.funnel(0.0))
+        is_fit = is_fit & is_recorded(each.loop, t1) & control.is_valid()
+    inside = ft.reduce(jnp.logical_and, starts_inside)
+    code = jnp.where(inside, int(Outcome.COMPLETED), int(Outcome.STARTED_OUTSIDE))
+    return jnp.where(is_fit, code, int(Outcome.BAD_PARAMETERS))
 
 
 def _method(settings: SolverSettings) -> Tsit5 | Rosenbrock:
     implicit = {"rodas4": RODAS4, "rodas5p": RODAS5P}
-    return Rosenbrock(implicit[settings.method]) if settings.method in implicit else Tsit5()
+    if settings.method not in implicit:
+        return Tsit5()
+    return Rosenbrock(implicit[settings.method], Barrier(settings.rtol / settings.rtol))
 
 
 def _saveat(ts: Float[Array, " times"] | None) -> dfx.SaveAt:

@@ -15,11 +15,23 @@ from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.components import components
 from qsmc_jax.model.unseen import is_consistent, is_known, is_own
+from qsmc_jax.multivariable import MultivariableLoop
 
 _INSTANTS = 257
 
 
-def require_finite_functions(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> None:
+def is_ours(loop: ClosedLoop | MultivariableLoop) -> bool:
+    """Whether plant, reference and disturbance are all the library's.
+
+    Args:
+        loop: The loop.
+    """
+    if isinstance(loop, MultivariableLoop):
+        return False
+    return is_known(loop.plant) and is_consistent(loop.reference) and is_own(loop.disturbance)
+
+
+def require_finite_functions(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: RealScalarLike) -> None:
     """Raises if a function of the loop is not finite at some time of the horizon, at the start's state.
 
     Traced numbers pass, and so does what the library brings: its numbers are checked by its constructors.
@@ -29,8 +41,7 @@ def require_finite_functions(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> N
         x0: The start, n numbers.
         t1: The horizon [s].
     """
-    is_ours = is_known(loop.plant) and is_consistent(loop.reference) and is_own(loop.disturbance)
-    if is_ours or is_traced(loop, x0, t1):
+    if is_ours(loop) or is_traced(loop, x0, t1):
         return
     ts = np.linspace(0.0, float(t1), _INSTANTS)
     for name, values in _values(loop, x0, ts).items():
@@ -45,21 +56,26 @@ def require_finite_functions(loop: ClosedLoop, x0: Any, t1: RealScalarLike) -> N
 
 
 @entry_point
-def _values(loop: ClosedLoop, x0: Any, ts: Float[np.ndarray, " times"]) -> dict[str, Any]:
+def _values(loop: ClosedLoop | MultivariableLoop, x0: Any, ts: Float[np.ndarray, " times"]) -> dict[str, Any]:
     plant = type(loop.plant).__name__
-    own, disturbance, desired = _evaluated(loop, jnp.asarray(x0), jnp.asarray(ts))
+    own, of_channels = _evaluated(loop, jnp.asarray(x0), jnp.asarray(ts))
     names = {f"`{method}` of `{plant}`": values for method, values in own.items()}
-    names[f"`{type(loop.disturbance).__name__}`, a disturbance,"] = disturbance
-    for order, values in enumerate(desired):
-        names[f"Derivative {order} of `{type(loop.reference).__name__}`, a reference,"] = values
+    several = len(loop.channels) > 1
+    for i, (channel, (disturbance, desired)) in enumerate(zip(loop.channels, of_channels, strict=True)):
+        of = f" of channel {i}" if several else ""
+        names[f"`{type(channel.disturbance).__name__}`, a disturbance{of},"] = disturbance
+        for order, values in enumerate(desired):
+            names[f"Derivative {order} of `{type(channel.reference).__name__}`, a reference{of},"] = values
     return names
 
 
 @eqx.filter_jit
-def _evaluated(loop: ClosedLoop, x0: Float[Array, " n"], ts: Float[Array, " times"]) -> Any:
+def _evaluated(loop: ClosedLoop | MultivariableLoop, x0: Float[Array, " n"], ts: Float[Array, " times"]) -> Any:
     def at(t: Array) -> Any:
-        x, d = tuple(x0[i] for i in range(loop.states)), loop.disturbance(t)
+        x = tuple(x0[i] for i in range(loop.states))
+        signals = [(channel.disturbance(t), channel.desired(t)) for channel in loop.channels]
+        d = loop.channels[0].disturbed(t)
         own = {name: component(loop.plant, t, x, d) for name, component in components(loop.plant).items()}
-        return jax.tree.map(lambda value: jnp.asarray(value, float), (own, d, loop.desired(t)))
+        return jax.tree.map(lambda value: jnp.asarray(value, float), (own, signals))
 
     return jax.vmap(at)(ts)

@@ -8,19 +8,22 @@ as long as the gain pushes back, by no more than $a / (g \cosh s)$: u = sinh s b
 gain K of the law; of a law of the user's nobody knows). An amount of the gain counts |u| times as much.
 """
 
+import dataclasses
 import functools as ft
-from collections.abc import Callable
-from typing import TypeAlias
+import itertools as it
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.channel import Channel
 from qsmc_jax.control.funnel import AbstractFunnel, Funnel
 from qsmc_jax.control.law import QuasiSlidingControl
-from qsmc_jax.enclosures.unseen import Step, Unseen, unseen
+from qsmc_jax.enclosures.unseen import Step, Unseen, unseen, unseen_each
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.model.state_space import AbstractStateSpace
+from qsmc_jax.model.own_coordinates import AbstractOwnCoordinates
 from qsmc_jax.model.unseen import (
     gain_range,
     is_consistent,
@@ -32,7 +35,8 @@ from qsmc_jax.model.unseen import (
     within,
 )
 from qsmc_jax.numerics import pytrees
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.numerics.barrier import Barrier
+from qsmc_jax.simulation.problem import AbstractProblem, Problem
 
 Path: TypeAlias = Callable[[RealScalarLike], Scalars]
 
@@ -44,50 +48,91 @@ _LEAST_WORTH, _LARGEST_WORTH = 1e-6, 1e-2
 _ROUNDING = 256.0
 
 
+class Hiding(NamedTuple):
+    """What may hide in a step in plant and disturbance.
+
+    Attributes:
+        moved: For each channel by how much what drives its sliding variable may pass what was seen, without the input.
+        gains: For each channel the same of its gain, times its sign.
+        in_states: How far a state could move, in parts of its size; 0.0 in chains.
+    """
+
+    moved: tuple[Unseen, ...]
+    gains: tuple[Unseen, ...]
+    in_states: RealScalarLike
+
+
 def hidden(
-    problem: Problem,
+    problem: AbstractProblem,
     step: Step,
     ys: tuple[Scalars, Scalars, Scalars],
-    sinhs: tuple[RealScalarLike, RealScalarLike],
-    us: tuple[RealScalarLike, RealScalarLike],
+    sinhs: Sequence[tuple[RealScalarLike, RealScalarLike]],
+    us: Sequence[tuple[RealScalarLike, RealScalarLike]],
     rtol: RealScalarLike,
     least: RealScalarLike,
 ) -> RealScalarLike:
-    """How far a step could move the funnel coordinate unseen, in units of what is tolerated; 0.0 if nothing can hide.
+    """How far a step could move a funnel coordinate unseen, in units of what is tolerated; 0.0 if nothing can hide.
 
     Args:
         problem: The loop.
         step: The step.
         ys: The coordinates at its start, middle and end.
-        sinhs: sinh |s| there, s the funnel coordinate.
-        us: The input's size there.
+        sinhs: For each channel sinh |s| at its start and end, s the funnel coordinate.
+        us: For each channel the input's size there.
         rtol: The relative tolerance.
         least: Size below which a state counts as this large, as for the tolerances of the solve.
     """
     problem, (t0, t1), ys, sinhs, us = pytrees.stop_gradient((problem, (step.t0, step.t1), ys, sinhs, us))
-    step, loop = Step(t0, t1, step.nodes), problem.loop
-    at = _path(problem, step, ys)
-    pushes = _pushes(loop, step, at)
-    amount_of_gain, lowest = _gain(loop, step, at)
-    largest = jnp.maximum(*us)
-    jump, in_states = _discontinuity(loop, step), _in_states(loop, step, at, largest, least)
-    of_law = _of_law(loop, step, at)
+    step, channels = Step(t0, t1, step.nodes), problem.channels
+    at, largest = _path(channels[0], step, ys), [jnp.maximum(*each) for each in us]
+    hiding = _once(
+        problem.barrier, _hiding([each.loop for each in channels], step, at, largest, least, problem.barrier)
+    )
+    found = [_hidden_in(each.loop, step, at, hiding, i, sinhs[i], largest[i]) for i, each in enumerate(channels)]
+    known = [(moves / _worth(rtol), growth) for moves, growth in found if not is_nothing(moves)]
+    known += [] if is_nothing(hiding.in_states) else [(_or_all(hiding.in_states) / _worth(rtol), 0.0)]
+    growths = [growth for _, growth in found]
+    return ft.reduce(jnp.maximum, [*growths, *(moves for moves, _ in known)])
+
+
+def _once(barrier: Barrier, hiding: Hiding) -> Hiding:
+    """The same, worked out once: all of it in one piece is more than XLA makes good code of."""
+
+    def amount(value: RealScalarLike) -> RealScalarLike:
+        return value if is_nothing(value) else barrier(value)
+
+    def seen(found: Unseen) -> Unseen:
+        return dataclasses.replace(found, amount=amount(found.amount), low=barrier(found.low))
+
+    return Hiding(tuple(map(seen, hiding.moved)), tuple(map(seen, hiding.gains)), amount(hiding.in_states))
+
+
+def _hidden_in(
+    loop: ClosedLoop,
+    step: Step,
+    at: Path,
+    hiding: Hiding,
+    channel: int,
+    sinhs: tuple[RealScalarLike, RealScalarLike],
+    largest: RealScalarLike,
+) -> tuple[RealScalarLike, RealScalarLike]:
+    """How far a channel's funnel coordinate could move unseen, 0.0 if nothing can hide, and by what exponent grow."""
+    pushes = joined([hiding.moved[channel], *_asked(loop, step)])
+    amount_of_gain, lowest = hiding.gains[channel].amount, hiding.gains[channel].low
+    jump, of_law = _discontinuity(loop, step), _of_law(loop, step, at)
     k = 0.5 * jnp.pi / _narrowest(loop.control.funnel, step)
     # By an exponent of 1 at most may a small s grow in a step in which the gain may push outwards.
     growth = step.length * k * jnp.maximum(-lowest, 0.0)
-    if all(map(is_nothing, (pushes.amount, amount_of_gain, jump, in_states, of_law))):
-        return growth
+    if all(map(is_nothing, (pushes.amount, amount_of_gain, jump, of_law))):
+        return 0.0, growth
     cosh, least_cosh = (jnp.sqrt(1.0 + bound(*sinhs) ** 2) for bound in (jnp.maximum, jnp.minimum))
     amount = pushes.amount + amount_of_gain * largest + of_law
     moves = step.length * k * cosh * amount
     if isinstance(loop.control, QuasiSlidingControl):
         is_held = lowest > 0.0
-        stiffness = loop.control.gain * jnp.where(is_held, lowest, 1.0) * least_cosh
+        stiffness = _least_gain(loop.control, step) * jnp.where(is_held, lowest, 1.0) * least_cosh
         moves = jnp.minimum(moves, jnp.where(is_held, amount / stiffness, jnp.inf))
-    moves = moves + k * cosh * jump
-    moves = moves if is_nothing(in_states) else jnp.maximum(moves, in_states)
-    moves = jnp.where(jnp.isnan(moves), jnp.inf, moves)
-    return jnp.maximum(moves / _worth(rtol), growth)
+    return _or_all(moves + k * cosh * jump), growth
 
 
 def hidden_in_cell(
@@ -112,18 +157,22 @@ def hidden_in_cell(
     """
     problem, implementation, (t0, t1), u = pytrees.stop_gradient((problem, implementation, (step.t0, step.t1), u))
     step, loop = Step(t0, t1, step.nodes), problem.loop
-    plant = loop.plant
-    gain = joined([]) if is_known(plant) else unseen(lambda t: loop.gain(t, at(t)), step)
-    pushes = _moved(loop, step, at).amount + gain.amount * jnp.abs(u)
+    hiding = _hiding([loop], step, at, [jnp.abs(u)], least, problem.barrier)
+    # A known gain counts as nothing, a constant of the library's own.
+    pushes = hiding.moved[0].amount + hiding.gains[0].amount * jnp.abs(u)
     for c, signal in zip(loop.control.surface.c, implementation.unmatched, strict=False):
         pushes = pushes + c * unseen_in_signal(signal, step).amount
     wander = loop.control.surface([unseen_in_reference(loop.reference, i, step).amount for i in range(loop.order)])
     funnel = loop.control.funnel
     wander = wander + unseen_in_funnel(funnel, step, is_rate=False).amount
     moves = (step.length * pushes + wander) / _narrowest(funnel, step)
-    in_states = _in_states(loop, step, at, jnp.abs(u), least)
-    moves = moves if is_nothing(in_states) else jnp.maximum(moves, in_states)
-    return jnp.where(jnp.isnan(moves), jnp.inf, moves) / _worth(rtol)
+    moves = moves if is_nothing(hiding.in_states) else jnp.maximum(moves, hiding.in_states)
+    return _or_all(moves) / _worth(rtol)
+
+
+def _or_all(moves: RealScalarLike) -> RealScalarLike:
+    """How far something moves; all the way where that is not known."""
+    return jnp.where(jnp.isnan(moves), jnp.inf, moves)
 
 
 def _worth(rtol: RealScalarLike) -> RealScalarLike:
@@ -146,6 +195,14 @@ def _narrowest(funnel: AbstractFunnel, step: Step) -> RealScalarLike:
     return jnp.maximum(unseen(funnel, step).low, 0.0)
 
 
+def _least_gain(law: QuasiSlidingControl, step: Step) -> RealScalarLike:
+    """The least that the law multiplies its tangent by in a step: where the funnel is widest, if it is scaled."""
+    if not law.is_scaled:
+        return law.gain
+    widest = law.funnel(step.t0) if isinstance(law.funnel, Funnel) else unseen(law.funnel, step).high
+    return law.gain / widest
+
+
 def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]) -> Path:
     """The state along the step, by the parabola through its start, middle and end."""
     loop, t0, h = problem.loop, step.t0, step.length
@@ -162,51 +219,87 @@ def _path(problem: Problem, step: Step, ys: tuple[Scalars, Scalars, Scalars]) ->
     return state
 
 
-def _pushes(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
-    """What may hide in w, which pushes the sliding variable."""
-    parts = [_moved(loop, step, at), unseen_in_reference(loop.reference, loop.order, step)]
-    return joined([*parts, unseen_in_funnel(loop.control.funnel, step, is_rate=True)])
+def _asked(loop: ClosedLoop, step: Step) -> list[Unseen]:
+    """What may hide in the part of w that does not come from the plant."""
+    parts = [unseen_in_reference(loop.reference, loop.order, step)]
+    return [*parts, unseen_in_funnel(loop.control.funnel, step, is_rate=True)]
 
 
-def _moved(loop: ClosedLoop, step: Step, at: Path) -> Unseen:
-    """What may hide in the part of it that comes from plant and disturbance."""
-    plant = loop.plant
-    if isinstance(plant, AbstractStateSpace):
-        # The disturbance is in it, wherever it enters.
-        d = within(loop.disturbance, 0.5 * (step.t0 + step.t1))
-        free = lambda t: plant.vector_field(t, at(t), d(t))  # noqa: E731
-        return unseen(lambda t: loop.control.surface(plant.outputs_in_motion(t, at(t), free(t))[1]), step)
-    disturbance = unseen_in_signal(loop.disturbance, step)
-    if is_known(plant):
-        return disturbance
-    return joined([disturbance, unseen(lambda t: plant.drift(t, at(t)), step)])
-
-
-def _in_states(loop: ClosedLoop, step: Step, at: Path, u: RealScalarLike, least: RealScalarLike) -> RealScalarLike:
-    """How far a state of a plant in its own coordinates could move unseen, in parts of its size; 0.0 in chains.
-
-    What enters where the sliding variable does not see it yet would be found too late there. `u` is the largest input.
-    """
-    plant = loop.plant
-    if not isinstance(plant, AbstractStateSpace):
-        return 0.0
-    found, d = [], within(loop.disturbance, 0.5 * (step.t0 + step.t1))
-    for i, ends in enumerate(zip(at(step.t0), at(step.t1), strict=True)):
-        size = ft.reduce(jnp.maximum, map(jnp.abs, ends), least)
-        rate = lambda t, i=i: plant.vector_field(t, at(t), d(t))[i]  # noqa: E731
-        reach = lambda t, i=i: plant.input_matrix(t, at(t))[i]  # noqa: E731
-        found.append(step.length * (unseen(rate, step).amount + unseen(reach, step).amount * u) / size)
-    return ft.reduce(jnp.maximum, found)
-
-
-def _gain(loop: ClosedLoop, step: Step, at: Path) -> tuple[RealScalarLike, RealScalarLike]:
-    """What may hide in the gain, and the least it may be, times its sign."""
-    sign = loop.control.gain_sign
+def _hiding(
+    loops: Sequence[ClosedLoop],
+    step: Step,
+    at: Path,
+    largest: Sequence[RealScalarLike],
+    least: RealScalarLike,
+    barrier: Barrier,
+) -> Hiding:
+    """What may hide in the plant and in the disturbance: of a plant in its own coordinates all at once."""
+    loop = loops[0]
+    if isinstance(loop.plant, AbstractOwnCoordinates):
+        return _hiding_in_own(loops, step, at, largest, least, barrier)
+    disturbance, sign = unseen_in_signal(loop.disturbance, step), loop.control.gain_sign
     if is_known(loop.plant):
         low, high = gain_range(loop.plant)
-        return 0.0, jnp.minimum(sign * low, sign * high)
-    found = unseen(lambda t: sign * loop.gain(t, at(t)), step)
-    return found.amount, found.low
+        gain = Unseen(0.0, jnp.minimum(sign * low, sign * high), jnp.nan)
+        return Hiding((disturbance,), (gain,), 0.0)
+    drift, gain = unseen_each(lambda t: (loop.plant.drift(t, at(t)), sign * loop.gain(t, at(t))), step)
+    return Hiding((joined([disturbance, drift]),), (gain,), 0.0)
+
+
+def _hiding_in_own(
+    loops: Sequence[ClosedLoop],
+    step: Step,
+    at: Path,
+    largest: Sequence[RealScalarLike],
+    least: RealScalarLike,
+    barrier: Barrier,
+) -> Hiding:
+    """The same of a plant in its own coordinates. The disturbance is in its rates, wherever it enters.
+
+    Inputs of other channels hide nothing themselves: each is a known function of its funnel coordinate, which is
+    guarded. What enters a state where the sliding variable does not see it yet would be found too late there.
+    """
+    first, m, d = loops[0].plant, len(loops), _disturbed(loops[0], step)
+    own = first.plant if isinstance(first, Channel) else first
+    states = first.states - m if isinstance(first, Channel) else first.states
+
+    def numbers(t: RealScalarLike) -> tuple[RealScalarLike, ...]:
+        x = at(t)[:states]
+        free, columns = own.vector_field(t, x, d(t)), [own.column(t, x, j) for j in range(m)]
+        moved, gains = [], []
+        for i, loop in enumerate(loops):
+            surface, sign = loop.control.surface, loop.control.gain_sign
+            moved.append(surface(own.outputs_in_motion(t, x, free, 1.0, i)[1]))
+            gains += [sign * surface(own.gains(t, x, i, j)) for j in range(m)]
+        return (*free, *(entry for column in columns for entry in column), *moved, *gains)
+
+    found = iter(unseen_each(numbers, step, barrier))
+    free, columns = list(it.islice(found, states)), [list(it.islice(found, states)) for _ in range(m)]
+    moved, gains = list(it.islice(found, m)), [list(it.islice(found, m)) for _ in range(m)]
+    with_others = []
+    for i in range(m):
+        others = [_times(gains[i][j], largest[j]) for j in range(m) if j != i]
+        with_others.append(joined([moved[i], *others]))
+    moves = []
+    for i, ends in enumerate(zip(at(step.t0)[:states], at(step.t1)[:states], strict=True)):
+        size = ft.reduce(jnp.maximum, map(jnp.abs, ends), least)
+        amount = joined([free[i], *(_times(column[i], u) for column, u in zip(columns, largest, strict=True))]).amount
+        moves.append(step.length * amount / size)
+    return Hiding(tuple(with_others), tuple(gains[i][i] for i in range(m)), ft.reduce(jnp.maximum, moves))
+
+
+def _times(found: Unseen, size: RealScalarLike) -> Unseen:
+    """What may hide in something times a number."""
+    return found if is_nothing(found.amount) else dataclasses.replace(found, amount=found.amount * size)
+
+
+def _disturbed(loop: ClosedLoop, step: Step) -> Callable[[RealScalarLike], Any]:
+    """The value of the disturbance as it is around a step, or those of several."""
+    plant, middle = loop.plant, 0.5 * (step.t0 + step.t1)
+    if not isinstance(plant, Channel):
+        return within(loop.disturbance, middle)
+    signals = [within(each, middle) for each in plant.disturbances]
+    return lambda t: tuple(signal(t) for signal in signals)
 
 
 def _of_law(loop: ClosedLoop, step: Step, at: Path) -> RealScalarLike:

@@ -8,12 +8,13 @@ from qsmc_jax.enclosures.unseen import Nodes, Step, Unseen, unseen
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.components import components
 from qsmc_jax.model.unseen import is_known, unseen_in_reference, unseen_in_signal
+from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.simulation.guard import unseen_in_funnel
 
 _NODES = Nodes((0.0, 0.5, 1.0), few=(0.0, 0.5, 1.0))
 
 
-def probed_functions(loop: ClosedLoop) -> tuple[str, ...]:
+def probed_functions(loop: ClosedLoop | MultivariableLoop) -> tuple[str, ...]:
     """Functions that the guard could only look at in some thirty instants of a step, with the operations to blame.
 
     Args:
@@ -26,18 +27,15 @@ def probed_functions(loop: ClosedLoop) -> tuple[str, ...]:
 
     def look(t0: jax.Array, t1: jax.Array, x: tuple[jax.Array, ...]) -> jax.Array:
         step = Step(t0, t1, _NODES)
-        parts: dict[str, Unseen] = {f"`{type(loop.disturbance).__name__}`": unseen_in_signal(loop.disturbance, step)}
-        reference = unseen_in_reference(loop.reference, loop.order, step)
-        parts[f"`derivatives` of `{type(loop.reference).__name__}`"] = reference
+        parts = [part for each in loop.channels for part in _signals(each, step)]
         for signal in () if loop.implementation is None else loop.implementation.unmatched:
-            parts[f"`{type(signal).__name__}`"] = unseen_in_signal(signal, step)
-        funnel = loop.control.funnel
-        parts[f"`{type(funnel).__name__}`"] = unseen_in_funnel(funnel, step, is_rate=True)
+            parts.append((f"`{type(signal).__name__}`", unseen_in_signal(signal, step)))
         if not is_known(loop.plant):
             for name, each in components(loop.plant).items():
                 path = lambda t, each=each: each(loop.plant, t, tuple(xi * t for xi in x), t)  # noqa: E731
-                parts[f"`{name}` of `{type(loop.plant).__name__}`"] = unseen(path, step)
-        found.update({name: part.probed for name, part in parts.items()})
+                parts.append((f"`{name}` of `{type(loop.plant).__name__}`", unseen(path, step)))
+        for name, part in parts:
+            found[name] = tuple(sorted({*found.get(name, ()), *part.probed}))
         return jnp.zeros(())
 
     number = jax.ShapeDtypeStruct((), float)
@@ -47,7 +45,16 @@ def probed_functions(loop: ClosedLoop) -> tuple[str, ...]:
     return tuple(f"{name} ({operations})" for name, operations in listed.items())
 
 
-def said_of_probed(loop: ClosedLoop) -> str:
+def _signals(loop: ClosedLoop, step: Step) -> list[tuple[str, Unseen]]:
+    funnel = loop.control.funnel
+    return [
+        (f"`{type(loop.disturbance).__name__}`", unseen_in_signal(loop.disturbance, step)),
+        (f"`derivatives` of `{type(loop.reference).__name__}`", unseen_in_reference(loop.reference, loop.order, step)),
+        (f"`{type(funnel).__name__}`", unseen_in_funnel(funnel, step, is_rate=True)),
+    ]
+
+
+def said_of_probed(loop: ClosedLoop | MultivariableLoop) -> str:
     """A sentence on what could only be probed; empty if all was enclosed."""
     names = probed_functions(loop)
     if not names:

@@ -1,5 +1,6 @@
 """A solve read off along a time grid: states, errors, sliding variable, funnel, input, disturbance."""
 
+import functools as ft
 from collections.abc import Hashable
 from typing import Any, NamedTuple
 
@@ -11,15 +12,16 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require, require_finite, show
 from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.signals import Signals
 from qsmc_jax.metrics.standard import Metrics
+from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.simulation.engine import pose, solve
-from qsmc_jax.simulation.ideal.step import ideal_signals
+from qsmc_jax.simulation.ideal.step import ideal_signals, joint_signals
 from qsmc_jax.simulation.judge import is_refused
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.problem import AbstractProblem, Problem
 from qsmc_jax.simulation.sampled.cell import loop_point, sampled_signals
 from qsmc_jax.simulation.settings import INSTANT, SolverSettings
 
@@ -32,10 +34,10 @@ class GridSignals(NamedTuple):
     x: Float[Array, "times states"]
     desired: Float[Array, "times n"]
     e: Float[Array, "times n"]
-    sigma: Float[Array, " times"]
-    rho: Float[Array, " times"]
-    u: Float[Array, " times"]
-    d: Float[Array, " times"]
+    sigma: Float[Array, "times ..."]
+    rho: Float[Array, "times ..."]
+    u: Float[Array, "times ..."]
+    d: Float[Array, "times ..."]
 
 
 class SolvedRun(NamedTuple):
@@ -48,10 +50,10 @@ class SolvedRun(NamedTuple):
 
 
 def solve_along(
-    loop: ClosedLoop,
+    loop: ClosedLoop | MultivariableLoop,
     x0: Float[Array | np.ndarray, " n"],
     t1: RealScalarLike,
-    bandwidth: RealScalarLike,
+    bandwidth: Any,
     ts: Float[Array | np.ndarray, " times"],
     settings: SolverSettings,
     is_drawn_well: BoolScalarLike = True,
@@ -78,21 +80,33 @@ def solve_along(
     signals = jax.vmap(lambda t, y: read(problem, t, y))(ts, saved)
     # A horizon that was computed elsewhere may differ in its last place.
     has_ended = (ts * (1.0 - INSTANT) > metrics.end_time) | is_refused(metrics.outcome)
-    x, e = (jnp.where(has_ended[:, None], jnp.nan, signal) for signal in (signals.x, signals.e))
-    sigma, u = (jnp.where(has_ended, jnp.nan, signal) for signal in (signals.sigma, signals.u))
-    bounds = jnp.stack([jnp.asarray(bound) for bound in problem.error_bounds])
-    told = signals._replace(x=x, e=e, sigma=sigma, u=u)
-    return SolvedRun(metrics, told, bounds, jnp.asarray(problem.settling_time))
+    names = ("x", "e", "sigma", "u")
+    told = {name: jax.vmap(_unless)(has_ended, getattr(signals, name)) for name in names}
+    bounds = jnp.stack([jnp.asarray(bound) for each in problem.channels for bound in each.error_bounds])
+    settled = ft.reduce(jnp.maximum, [jnp.asarray(each.settling_time) for each in problem.channels])
+    return SolvedRun(metrics, signals._replace(**told), bounds, settled)
+
+
+def _unless(has_ended: Array, signal: Array) -> Array:
+    return jnp.where(has_ended, jnp.nan, signal)
 
 
 @entry_point
-def signals_at_start(loop: ClosedLoop, x0: Float[np.ndarray, " n"]) -> Signals:
+def signals_at_start(loop: ClosedLoop | MultivariableLoop, x0: Float[np.ndarray, " n"]) -> Signals:
     """The signals at time 0 without input, as metrics see them."""
-    e, desired, rho = loop.errors(0.0, tuple(x0)), loop.desired(0.0), loop.control.funnel(0.0)
-    ratio = loop.ratio(0.0, tuple(x0))
-    balance, sigma = loop.balance(0.0, tuple(x0), e, desired), jnp.asarray(loop.control.surface(e))
+    if isinstance(loop, MultivariableLoop):
+        # The inputs are not asked for: any funnel coordinates will do.
+        x, rest = tuple(x0), (jnp.zeros(()),) * len(loop.controls)
+        return joint_signals(loop, np.zeros(()), x, [_at_start(each, (*x, *rest)) for each in loop.channels])
+    return _at_start(loop, tuple(x0))
+
+
+def _at_start(loop: ClosedLoop, x0: Scalars) -> Signals:
+    e, desired, rho = loop.errors(0.0, x0), loop.desired(0.0), loop.control.funnel(0.0)
+    ratio = loop.ratio(0.0, x0)
+    balance, sigma = loop.balance(0.0, x0, e, desired), jnp.asarray(loop.control.surface(e))
     driven = balance.disturbance, balance.residual, balance.gain
-    return Signals(np.zeros(()), tuple(x0), desired[:-1], e, sigma, rho, ratio, np.zeros(()), *driven)
+    return Signals(np.zeros(()), x0, desired[:-1], e, sigma, rho, ratio, np.zeros(()), *driven)
 
 
 def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:
@@ -114,7 +128,7 @@ def grid_of(ts: Any, t1: RealScalarLike) -> Float[np.ndarray, " times"]:
     return grid
 
 
-def _ideal(problem: Problem, t: Array, y: tuple[Array, ...]) -> GridSignals:
+def _ideal(problem: AbstractProblem, t: Array, y: tuple[Array, ...]) -> GridSignals:
     return _stacked(ideal_signals(problem, t, y))
 
 
@@ -124,6 +138,10 @@ def _implemented(problem: Problem, t: Array, saved: tuple[Array, ...]) -> GridSi
 
 
 def _stacked(now: Signals) -> GridSignals:
-    """The signals at one instant, those with a number for each derivative as arrays."""
-    x, desired, e = (jnp.stack([jnp.asarray(each) for each in signal]) for signal in (now.x, now.desired, now.e))
-    return GridSignals(x, desired, e, now.sigma, now.rho, now.u, jnp.asarray(now.d))
+    """The signals at one instant, those with a number for each derivative, or each channel, as arrays."""
+
+    def stacked(name: str) -> Array:
+        leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(getattr(now, name))]
+        return jnp.stack(leaves) if isinstance(getattr(now, name), tuple) else leaves[0]
+
+    return GridSignals(*map(stacked, GridSignals._fields))

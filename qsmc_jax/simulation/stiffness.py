@@ -1,5 +1,6 @@
 """How stiff a loop will be, from its numbers alone, and the method for it."""
 
+import functools as ft
 import math
 from collections.abc import Hashable
 from typing import Any
@@ -16,6 +17,7 @@ from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.plants import AbstractPlant
+from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.simulation.settings import Method, SolverSettings
 
@@ -41,12 +43,14 @@ OTHER: dict[str, Method] = {
 
 
 @entry_point
-def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike, made_of: Hashable = ()) -> RealScalarLike:
+def stiffness(
+    loop: ClosedLoop | MultivariableLoop, x0: Any, t1: RealScalarLike, made_of: Hashable = ()
+) -> RealScalarLike:
     r"""Decay times of the sliding variable in a run to `t1`, $\int_0^{t_1} |g| \frac{\pi}{2 \rho} (1 + u^2) dt$ [-].
 
     Along the reference, with the input that holds the sliding variable there and drives it in with the funnel. An
     explicit method needs about a third as many steps at the least. A loop with an implementation is open between
-    samples: 0.
+    samples: 0. Of several channels the stiffest counts, with the others' inputs as they are at rest.
     """
     if loop.implementation is not None:
         return 0.0
@@ -54,8 +58,14 @@ def stiffness(loop: ClosedLoop, x0: Any, t1: RealScalarLike, made_of: Hashable =
 
 
 @eqx.filter_jit
-def _decays(loop: ClosedLoop, x0: Array, t1: Array, made_of: Hashable) -> Array:
+def _decays(loop: ClosedLoop | MultivariableLoop, x0: Array, t1: Array, made_of: Hashable) -> Array:
     del made_of  # by which the program is kept
+    if isinstance(loop, MultivariableLoop):
+        x0 = jnp.concatenate([x0, jnp.zeros(len(loop.controls))])  # the funnel coordinates of `Channel`, at rest
+    return ft.reduce(jnp.maximum, [_of_channel(each, x0, t1) for each in loop.channels])
+
+
+def _of_channel(loop: ClosedLoop, x0: Array, t1: Array) -> Array:
     fractions = (np.arange(_INSTANTS) + 0.5) / _INSTANTS
     rates = jax.vmap(lambda t: _decay_rate(loop, x0, t))(t1 * fractions**3)
     return t1 * jnp.sum(rates * 3.0 * fractions**2) / _INSTANTS
@@ -69,7 +79,7 @@ def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
     rest, desired = (0.0,) * loop.order, loop.desired(t)
     is_chain = isinstance(loop.plant, AbstractPlant)
     balance = loop.balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
-    law, balance = loop.control, loop.plain(balance)
+    law, balance = loop.control, loop.plain(t, balance)
     gain, load = jnp.abs(balance.gain), law.funnel.load(t, balance.residual)
     if not isinstance(law, QuasiSlidingControl):
         centre, centre_rate = law.funnel.centre_and_rate(t)
@@ -128,7 +138,7 @@ def _of_two(stiff: Any, asked_for: Method) -> Method:
 
 
 def with_method(
-    settings: SolverSettings, loop: ClosedLoop, x0: Any, t1: RealScalarLike, made_of: Hashable = ()
+    settings: SolverSettings, loop: ClosedLoop | MultivariableLoop, x0: Any, t1: RealScalarLike, made_of: Hashable = ()
 ) -> SolverSettings:
     """The settings with a method in place of `"auto"` or `"other"`; as for a loop that is not stiff while it is traced.
 

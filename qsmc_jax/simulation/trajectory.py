@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Real
 
-from qsmc_jax.base.checks import is_traced, require_finite, require_kind, require_positive, require_shape
+from qsmc_jax.base.checks import is_traced, require_finite, require_kind, require_positive, require_shape, show
 from qsmc_jax.base.module import AbstractModule, as_float64
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
@@ -26,6 +26,7 @@ from qsmc_jax.model.consistency import require_consistent
 from qsmc_jax.model.recording import require_recorded
 from qsmc_jax.model.state_jumps import require_no_state_jumps
 from qsmc_jax.model.state_space import AbstractStateSpace, require_relative_degree
+from qsmc_jax.multivariable import MultivariableLoop, require_decoupling
 from qsmc_jax.simulation.contents import brought
 from qsmc_jax.simulation.finite import require_finite_functions
 from qsmc_jax.simulation.outcome import Outcome
@@ -35,6 +36,9 @@ from qsmc_jax.simulation.signals import SolvedRun, grid_of, solve_along
 from qsmc_jax.simulation.stiffness import with_method
 from qsmc_jax.simulation.trajectory_plots import plot_funnel, plot_phase_plane, plot_trajectory
 
+# Signals that have a column for each of several channels.
+_OF_CHANNELS = ("sigma", "rho", "u", "d")
+
 
 class Trajectory(AbstractModule):
     """All signals of one run on a time grid, its metrics, and how it ended. NumPy float64; NaN after its end.
@@ -42,9 +46,10 @@ class Trajectory(AbstractModule):
     Attributes:
         ts: Times [s].
         x: States, one row a time, in the plant's coordinates.
-        desired: Desired output and its first n - 1 derivatives, one row a time.
-        e: Errors e^(0) ... e^(n-1), one row a time.
-        sigma: Sliding variable.
+        desired: Desired output and its first n - 1 derivatives, one row a time; with several inputs one channel after
+            the other.
+        e: Errors e^(0) ... e^(n-1), one row a time, likewise.
+        sigma: Sliding variable; with several inputs, as the next three, one column a channel.
         rho: Funnel half-width.
         u: Control input.
         d: Disturbance.
@@ -66,13 +71,13 @@ class Trajectory(AbstractModule):
     x: Float[Array | np.ndarray, "times states"]
     desired: Float[Array | np.ndarray, "times n"]
     e: Float[Array | np.ndarray, "times n"]
-    sigma: Float[Array | np.ndarray, " times"]
-    rho: Float[Array | np.ndarray, " times"]
-    u: Float[Array | np.ndarray, " times"]
-    d: Float[Array | np.ndarray, " times"]
+    sigma: Float[Array | np.ndarray, "times ..."]
+    rho: Float[Array | np.ndarray, "times ..."]
+    u: Float[Array | np.ndarray, "times ..."]
+    d: Float[Array | np.ndarray, "times ..."]
     metrics: Metrics
-    loop: ClosedLoop
-    bandwidth: RealScalarLike
+    loop: ClosedLoop | MultivariableLoop
+    bandwidth: Any
     error_bounds: Float[Array | np.ndarray, " n"]
     settling_time: RealScalarLike
     measures: tuple[AbstractMeasure, ...] = eqx.field(static=True, default=())
@@ -95,13 +100,14 @@ class Trajectory(AbstractModule):
 
     @property
     def reaching_time(self) -> float:
-        """t_r [s], from which on the funnel lies inside the bandwidth."""
-        return float(self.loop.control.funnel.reaching_time(self.bandwidth))
+        """t_r [s], from which on the funnel, or each of several, lies inside the bandwidth."""
+        return reaching_time(self.loop, self.bandwidth)
 
     @property
-    def edges(self) -> tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]:
+    def edges(self) -> tuple[Float[np.ndarray, "times ..."], Float[np.ndarray, "times ..."]]:
         """The lower and the upper edge of the funnel at the times, in units of the sliding variable."""
-        centre = _centres(self.loop.control.funnel, self.ts)
+        centres = [np.asarray(_centres(each.control.funnel, self.ts)) for each in self.loop.channels]
+        centre = centres[0] if self.rho.ndim == 1 else np.stack(centres, axis=1)
         return np.asarray(centre - self.rho), np.asarray(centre + self.rho)
 
     def plot(self, ax: Any = None) -> Any:
@@ -138,24 +144,29 @@ class Trajectory(AbstractModule):
         return plot_funnel(self, ax)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """The signals as columns over the column `t`: `x[0]`, `desired[0]`, `e[0]`, ..., `sigma`, `rho`, `u`, `d`."""
+        """The signals as columns over the column `t`: `x[0]`, `desired[0]`, `e[0]`, ..., `sigma`, `rho`, `u`, `d`.
+
+        With several inputs the last ones are `sigma[0]` and so on, one for each channel.
+        """
         signals: dict[str, np.ndarray] = {"t": np.asarray(self.ts)}
-        for name in ("x", "desired", "e"):
+        for name in ("x", "desired", "e", *_OF_CHANNELS):
             values = np.asarray(getattr(self, name))
-            signals.update({f"{name}[{i}]": values[:, i] for i in range(values.shape[1])})
-        return {**signals, **{name: np.asarray(getattr(self, name)) for name in ("sigma", "rho", "u", "d")}}
+            parts = {name: values} if values.ndim == 1 else {f"{name}[{i}]": row for i, row in enumerate(values.T)}
+            signals.update(parts)
+        return signals
 
     def to_pandas(self) -> Any:
         """The signals as a `pandas.DataFrame` over t [s]; needs the extra `notebook`."""
         return as_frame(self.columns(), "t")
 
     def to_xarray(self) -> Any:
-        """The signals as an `xarray.Dataset` over t [s], the state and the derivative; needs the extra `notebook`."""
+        """The signals as an `xarray.Dataset` over t [s], state, derivative, channel; needs the extra `notebook`."""
         wide = {name: (("t", "derivative"), np.asarray(getattr(self, name))) for name in ("desired", "e")}
         wide["x"] = ("t", self.loop.axis), np.asarray(self.x)
-        flat = {name: ("t", np.asarray(getattr(self, name))) for name in ("sigma", "rho", "u", "d")}
+        axes = ("t", "channel")[: self.sigma.ndim]
+        flat = {name: (axes, np.asarray(getattr(self, name))) for name in _OF_CHANNELS}
         coordinates = {"t": ("t", np.asarray(self.ts), {"units": "s"}), "derivative": np.arange(self.loop.order)}
-        attributes = {"verdict": self.verdict.name, "bandwidth": float(self.bandwidth)}
+        attributes = {"verdict": self.verdict.name, "bandwidth": np.asarray(self.bandwidth).tolist()}
         return as_dataset({**wide, **flat}, coordinates, attributes)
 
     def _repr_html_(self) -> str:
@@ -165,7 +176,9 @@ class Trajectory(AbstractModule):
 
     def __str__(self) -> str:
         f, peak = self.metrics, float(self.metrics.peak_ratio)
-        claims = ", ".join(f"{claim} {verdict.name}" for claim, verdict in self.verdicts.items())
+        several = len(self.loop.channels) > 1
+        shown = {claim: verdict for claim, verdict in self.verdicts.items() if not (several and claim.endswith("]"))}
+        claims = ", ".join(f"{claim} {verdict.name}" for claim, verdict in shown.items())
         told = f"  {self.outcome.name}: {self.outcome.advice}"
         if self.outcome in (Outcome.STARTED_OUTSIDE, Outcome.BAD_PARAMETERS):
             return f"Trajectory that was not begun: {claims}\n{told}"
@@ -175,10 +188,11 @@ class Trajectory(AbstractModule):
                 f"  sup |sigma|/rho {peak:.6g} at {float(f.peak_time):.4g} s (margin {float(f.margin):.3g})",
                 f"  sup |u| {float(f.peak_u):.6g}, energy {float(f.energy_u):.6g}, "
                 f"total variation {float(f.total_variation_u):.6g}",
-                f"  |sigma| < {float(self.bandwidth):.4g} for good after {float(f.reach_time):.6g} s "
+                f"  |sigma| < {show(np.asarray(self.bandwidth))} for good after {float(f.reach_time):.6g} s "
                 f"(t_r = {self.reaching_time:.6g} s)",
                 f"  |e^(i)| within their bounds for good after {float(f.settle_time):.6g} s "
                 f"(t_s = {float(self.settling_time):.6g} s)",
+                *_channel_lines(f, len(self.loop.channels)),
                 *_sampled_lines(f),
                 *_own_lines(f, self.measures),
                 told,
@@ -191,6 +205,19 @@ def _own_lines(metrics: Metrics, measures: Sequence[AbstractMeasure]) -> list[st
     """The study's own metrics, a line each."""
     shown = [record for each in measures for record in each.records if not claims_of([record.name])]
     return [f"  {each.name} {float(metrics.own[each.name]):.6g} {each.unit}".rstrip() for each in shown]
+
+
+def _channel_lines(metrics: Metrics, channels: int) -> list[str]:
+    """What is told of each of several channels."""
+    if channels == 1:
+        return []
+    f, lines = metrics.channels, []
+    for i in range(channels):
+        verdict, ratio, peak = (f[f"{name}[{i}]"] for name in ("verdict_funnel", "peak_ratio", "peak_u"))
+        peaks = f"sup |sigma|/rho {float(ratio):.6g}, sup |u| {float(peak):.6g}"
+        lines.append(f"  channel {i}: {Verdict(int(verdict)).name}, {peaks}")
+    barrier = float(np.asarray(metrics.peak_barrier)), float(np.asarray(metrics.barrier_bound))
+    return [*lines, f"  together: sup V {barrier[0]:.6g}, no more than {barrier[1]:.6g} by its bound"]
 
 
 def _sampled_lines(metrics: Metrics) -> list[str]:
@@ -206,11 +233,11 @@ def _sampled_lines(metrics: Metrics) -> list[str]:
 
 
 def simulate(
-    loop: ClosedLoop,
+    loop: ClosedLoop | MultivariableLoop,
     x0: Real[Array, " n"] | Real[np.ndarray, " n"] | list[Any] | tuple[Any, ...],
     t1: RealScalarLike,
     *,
-    bandwidth: RealScalarLike | None = None,
+    bandwidth: Any = None,
     ts: Real[Array, " times"] | Real[np.ndarray, " times"] | None = None,
     settings: SolverSettings | None = None,
 ) -> Trajectory:
@@ -221,7 +248,8 @@ def simulate(
         x0: The start, n numbers.
         t1: The horizon [s], positive.
         bandwidth: Bandwidth epsilon of quasi-sliding mode, rho_inf < epsilon < rho0 (C2), between where the funnel
-            ends and starts; None stands for twice where it ends, as in both examples of the paper.
+            ends and starts; None stands for twice where it ends, as in both examples of the paper. With several
+            inputs one for all channels, or one for each.
         ts: Times [s] at which to give the signals, increasing, within [0, t1]; None for 2001 evenly spaced.
         settings: Method and tolerances; None for the defaults.
 
@@ -240,7 +268,8 @@ def simulate(
         >>> run.verdict.name, round(float(run.metrics.peak_ratio), 4)
         ('HELD', 0.6323)
     """
-    require_kind("loop", loop, ClosedLoop, ClosedLoop.hint)
+    if not isinstance(loop, MultivariableLoop):
+        require_kind("loop", loop, ClosedLoop, ClosedLoop.hint)
     x0, t1 = as_float64(x0), as_float64(t1)
     check_start(loop, x0, t1)
     check_functions(loop, x0, t1)
@@ -248,10 +277,10 @@ def simulate(
 
 
 def simulate_drawn(
-    loop: ClosedLoop,
+    loop: ClosedLoop | MultivariableLoop,
     x0: Any,
     t1: RealScalarLike,
-    bandwidth: RealScalarLike | None,
+    bandwidth: Any,
     ts: Any,
     settings: SolverSettings | None,
     is_drawn_well: BoolScalarLike,
@@ -261,20 +290,33 @@ def simulate_drawn(
     What the user wrote is not checked again: a run of a study comes out as its row did, whatever its numbers are.
     """
     settings = SolverSettings() if settings is None else settings
-    bandwidth = as_float64(2.0 * loop.control.funnel.bandwidths[0] if bandwidth is None else bandwidth)
+    widths = loop.widths(bandwidth)
+    bandwidth = as_float64(widths[0] if len(widths) == 1 else widths)
     x0, t1 = as_float64(x0), as_float64(t1)
     check_start(loop, x0, t1)
-    require_finite("bandwidth", bandwidth)
-    loop.control.funnel.check_bandwidth(bandwidth)
+    check_bandwidth(loop, bandwidth)
     made_of = () if is_traced(loop) else brought(loop)
     settings, ts = with_method(settings, loop, x0, t1, made_of), grid_of(ts, t1)
     solved = _solve_along(loop, x0, t1, bandwidth, ts, settings, np.asarray(is_drawn_well), made_of)
     return trajectory(loop, bandwidth, ts, solved)
 
 
+def check_bandwidth(loop: ClosedLoop | MultivariableLoop, bandwidth: Any) -> None:
+    """Raises `InputError` unless condition C2 holds in every channel; traced numbers pass."""
+    require_finite("bandwidth", bandwidth)
+    for each, width in zip(loop.channels, loop.widths(bandwidth), strict=True):
+        each.control.funnel.check_bandwidth(width)
+
+
+def reaching_time(loop: ClosedLoop | MultivariableLoop, bandwidth: Any) -> float:
+    """t_r [s] of a loop: the latest of its channels'."""
+    pairs = zip(loop.channels, loop.widths(bandwidth), strict=True)
+    return max(float(each.control.funnel.reaching_time(width)) for each, width in pairs)
+
+
 def trajectory(
-    loop: ClosedLoop,
-    bandwidth: RealScalarLike,
+    loop: ClosedLoop | MultivariableLoop,
+    bandwidth: Any,
     ts: Float[Array | np.ndarray, " times"],
     solved: SolvedRun,
     measures: tuple[AbstractMeasure, ...] = (),
@@ -284,7 +326,7 @@ def trajectory(
     return Trajectory(ts, *solved.signals, *told)
 
 
-def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
+def check_start(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: Any) -> None:
     """Raises `InputError` unless the start and the horizon fit the loop, and its reference's derivatives one another.
 
     Traced numbers pass.
@@ -295,15 +337,17 @@ def check_start(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     if loop.implementation is not None:
         loop.implementation.check(loop.states, t1)
     require_recorded(loop, t1)
-    require_consistent(loop.reference, loop.order, t1)
-    require_own_rates(loop.control.funnel, t1)
+    for each in loop.channels:
+        require_consistent(each.reference, each.order, t1)
+        require_own_rates(each.control.funnel, t1)
 
 
-def _sized(loop: ClosedLoop) -> str:
-    return f"order {loop.order}" if loop.states == loop.order else f"{loop.states} states"
+def _sized(loop: ClosedLoop | MultivariableLoop) -> str:
+    is_chain = isinstance(loop, ClosedLoop) and loop.states == loop.order
+    return f"order {loop.order}" if is_chain else f"{loop.states} states"
 
 
-def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
+def check_functions(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: Any) -> None:
     """Raises `InputError` if what the user wrote can't be solved as it stands; traced numbers pass.
 
     A plant must not jump in the state, and every function must be finite. A scenario alone is not asked: in a run of a
@@ -313,6 +357,8 @@ def check_functions(loop: ClosedLoop, x0: Any, t1: Any) -> None:
     require_finite_functions(loop, x0, t1)
     if isinstance(loop.plant, AbstractStateSpace):
         require_relative_degree(loop.plant, x0)
+    if isinstance(loop, MultivariableLoop):
+        require_decoupling(loop, x0)
 
 
 @entry_point

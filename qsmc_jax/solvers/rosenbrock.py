@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.enclosures.unseen import Nodes
+from qsmc_jax.numerics.barrier import Barrier
 from qsmc_jax.numerics.linear import Factors, eliminate, substitute
 from qsmc_jax.solvers.explicit import weighted
 from qsmc_jax.solvers.quartic_interpolation import QuarticInterpolation
@@ -59,9 +60,11 @@ class Rosenbrock(dfx.AbstractAdaptiveSolver):
 
     Attributes:
         tableau: `RODAS4` or `RODAS5P`.
+        once: Around what the linear systems of many states use more than once; None for none.
     """
 
     tableau: RosenbrockTableau = eqx.field(static=True)
+    once: Barrier | None = None
 
     term_structure: ClassVar = dfx.AbstractTerm
     interpolation_cls: ClassVar = QuarticInterpolation
@@ -94,7 +97,8 @@ class Rosenbrock(dfx.AbstractAdaptiveSolver):
         frequency = 1.0 / jnp.where(h > 0.0, h, 1.0)
         rates = derivative_at_start(terms, t0, y0, args, solver_state, made_jump)
         jacobian, time_rates = _linearised(terms, t0, y0, args)
-        factors = eliminate(_iteration_matrix(jacobian, frequency / tableau.gamma))
+        matrix = _iteration_matrix(jacobian, frequency / tableau.gamma)
+        factors = eliminate(matrix, self.once if len(y0) > _FEW else None)
         drift = tuple(h * rate for rate in time_rates)
         stages = [substitute(factors, _plus(rates, drift, tableau.d[0]))]
         y1 = y0
@@ -108,6 +112,10 @@ class Rosenbrock(dfx.AbstractAdaptiveSolver):
         between = _middle_error(terms, t0 + 0.5 * h, args, factors, dense, frequency)
         error = tuple(jnp.maximum(jnp.abs(a), _SHARE * jnp.abs(b)) for a, b in zip(stages[-1], between, strict=True))
         return y1, error, dense, terms.vf(t1, y1, args), dfx.RESULTS.successful
+
+
+# Up to so many unknowns it costs less to work out some entries of the linear system twice than to keep them.
+_FEW = 4
 
 
 @ft.cache

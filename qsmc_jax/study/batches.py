@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind
+from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.simulation.settings import SolverSettings
@@ -22,8 +23,6 @@ from qsmc_jax.tracing.compiled import traced
 from qsmc_jax.tracing.platforms import platform
 
 _Shapes: TypeAlias = tuple[tuple[int, ...], ...]
-# Shapes of the bandwidth and the tolerances, which every block of rows is given.
-_ROWS: _Shapes = (), (), ()
 # Blocks of any multiple of this many lanes give bitwise the same rows, however the runs are cut into blocks.
 LANE_MULTIPLE = 64
 
@@ -75,7 +74,7 @@ class BatchSolver:
 
     def trace_nominal(self) -> None:
         """The part of the same that needs Python, which does one thing at a time."""
-        self._made(_traced, self._rows(self.nominal_method), _ROWS)
+        self._made(_traced, self._rows(self.nominal_method), self._given)
 
     @property
     def nominal_method(self) -> str:
@@ -89,13 +88,18 @@ class BatchSolver:
 
     def compile_block(self, block: Callable[..., Any], *more: np.ndarray) -> Callable[..., Any]:
         """The program of a block, given points, values, bandwidth, tolerances, and what else such a block takes."""
-        return self._made(_compiled, block, (*_ROWS, *map(np.shape, more)))
+        return self._made(_compiled, block, (*self._given, *map(np.shape, more)))
 
     def call(self, program: Callable[..., Any], points: Float[np.ndarray, "runs dim"], *more: np.ndarray) -> Any:
         """What such a program makes of up to `count` points, on the host; rows beyond them mean nothing."""
-        numbers = np.float64(self.study.bandwidth), self.settings.rtol, self.settings.atol
+        numbers = as_float64(self.study.bandwidth), self.settings.rtol, self.settings.atol
         with in_64_bits():
             return jax.device_get(program(self._filled(points), self.study.numbers, *numbers, *more))
+
+    @property
+    def _given(self) -> _Shapes:
+        """Shapes of the bandwidth and the tolerances, which every block of rows is given."""
+        return np.shape(self.study.bandwidth), (), ()
 
     def _rows(self, method: str) -> "_Block":
         return _Block(self.choices(method, adjoint="forward"))
@@ -173,7 +177,7 @@ class _Block:
         scenario: Made,
         points: Float[Array, "lanes dim"],
         values: Mapping[str, Array],
-        bandwidth: Float[Array, ""],
+        bandwidth: Float[Array, "..."],
         rtol: Float[Array, ""],
         atol: Float[Array, ""],
         *grid: Float[Array, " times"],

@@ -23,7 +23,7 @@ Values = Mapping[str, Array]
 def run(
     scenario: Made,
     settings: SolverSettings,
-    bandwidth: Float[Array, ""],
+    bandwidth: Float[Array, "..."],
     values: Values,
     point: Float[Array, " dim"],
 ) -> tuple[dict[str, Array], Metrics]:
@@ -39,7 +39,7 @@ def run(
 def run_along(
     scenario: Made,
     settings: SolverSettings,
-    bandwidth: Float[Array, ""],
+    bandwidth: Float[Array, "..."],
     ts: Float[Array, " times"],
     values: Values,
     point: Float[Array, " dim"],

@@ -3,27 +3,35 @@
 import contextlib
 import dataclasses
 import functools as ft
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import is_traced, require, require_finite, require_kind
+from qsmc_jax.base.checks import is_traced, require, require_kind, show
 from qsmc_jax.base.module import AbstractModule, as_float64, float_field, require_fields
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.display.short_repr import short_repr
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.check import check_measures, records_in
-from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, margin_column, verdict_column
+from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, claims_of_channels, margin_column, verdict_column
 from qsmc_jax.metrics.metric import AbstractMeasure, AbstractMetric
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.requirements import Required, Requirement
 from qsmc_jax.metrics.standard import USUAL, asked_for, record_of
+from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.signals import grid_of, signals_at_start
 from qsmc_jax.simulation.stiffness import BY_STIFFNESS, method_for
-from qsmc_jax.simulation.trajectory import Trajectory, check_functions, check_start, simulate_drawn, trajectory
+from qsmc_jax.simulation.trajectory import (
+    Trajectory,
+    check_bandwidth,
+    check_functions,
+    check_start,
+    simulate_drawn,
+    trajectory,
+)
 from qsmc_jax.study.contents import Contents, Made, contents
 from qsmc_jax.study.draw import Draw, discover
 from qsmc_jax.study.one_run import program, run_along, stiffness_at
@@ -49,7 +57,7 @@ class Scenario(AbstractModule):
         (2, [0.9, 0.9])
     """
 
-    loop: ClosedLoop
+    loop: ClosedLoop | MultivariableLoop
     x0: Float[Array, " n"] = float_field()
     t1: Float[Array, ""] = float_field()
 
@@ -72,7 +80,8 @@ class Study:
 
     Attributes:
         scenario: A function `scenario(draw) -> Scenario`, pure and traceable by JAX.
-        bandwidth: Bandwidth epsilon, rho_inf < epsilon < rho0 (C2), in units of the sliding variable.
+        bandwidth: Bandwidth epsilon, rho_inf < epsilon < rho0 (C2), in units of the sliding variable; with several
+            inputs one for all channels, or one for each.
         values: Numbers substituted for names, by name; see `substitute`.
         metrics: What tables of its runs tell: "standard" for all that is known of a run; "claims" for no more than
             verdicts need, in less time; or a list of such words, of names of standard metrics as in
@@ -101,7 +110,7 @@ class Study:
     """
 
     scenario: Callable[[Draw], Scenario]
-    bandwidth: float
+    bandwidth: float | Sequence[float]
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     metrics: Any = "standard"
     requirements: Any = dataclasses.field(default_factory=dict)
@@ -113,11 +122,11 @@ class Study:
 
     def __str__(self) -> str:
         fixed = f"; fixed: {', '.join(self.values)}" if self.values else ""
-        return f"{', '.join(spec.name for spec in self.specs) or 'no names'}; bandwidth {self.bandwidth:g}{fixed}"
+        names = ", ".join(spec.name for spec in self.specs) or "no names"
+        return f"{names}; bandwidth {show(np.asarray(self.bandwidth, float))}{fixed}"
 
     def __post_init__(self):
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
-        require_finite("bandwidth", self.bandwidth)
         object.__setattr__(self, "specs", discover(ft.partial(_scenario_of, self.scenario))[0])
         object.__setattr__(self, "metrics", _metrics(self.metrics))
         object.__setattr__(self, "requirements", _requirements(self.requirements))
@@ -129,7 +138,8 @@ class Study:
     def _check_measures(self) -> None:
         start = signals_at_start(self.nominal.loop, self.nominal.x0)
         drawn = [column for spec in self.specs for column in spec.columns]
-        taken = [*TABLE_COLUMNS, *map(verdict_column, (*STATEMENTS, TOGETHER)), *drawn]
+        claims = (*STATEMENTS, *claims_of_channels(len(self.nominal.loop.channels)), TOGETHER)
+        taken = [*TABLE_COLUMNS, *map(verdict_column, claims), *drawn]
         parts = [part for measure in self.measures for part in measure.parts]
         ends = [end for part in parts for end in (part.after, part.before) if np.isfinite(end)]
         horizon = float(self.nominal.t1)
@@ -145,8 +155,8 @@ class Study:
 
     @property
     def claims(self) -> tuple[str, ...]:
-        """The claims that its runs are judged by: the three of Theorem 1 and its requirements."""
-        return (*STATEMENTS, *self.requirements)
+        """The claims that its runs are judged by: the three of Theorem 1, also by channel, and its requirements."""
+        return (*STATEMENTS, *claims_of_channels(len(self.nominal.loop.channels)), *self.requirements)
 
     @property
     def own_metrics(self) -> tuple[AbstractMetric, ...]:
@@ -178,7 +188,7 @@ class Study:
         values = check_values(self.specs, values)
         nominal = _call(self.scenario, Draw(None, values))
         check_functions(nominal.loop, nominal.x0, nominal.t1)
-        nominal.loop.control.funnel.check_bandwidth(self.bandwidth)
+        check_bandwidth(nominal.loop, as_float64(self.bandwidth))
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "nominal", nominal)
 

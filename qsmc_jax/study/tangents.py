@@ -97,7 +97,7 @@ class _Block:
         scenario: Any,
         points: Float[Array, "lanes dim"],
         values: Mapping[str, Array],
-        bandwidth: Float[Array, ""],
+        bandwidth: Float[Array, "..."],
         rtol: Float[Array, ""],
         atol: Float[Array, ""],
     ) -> tuple[Array, Array, Array, Array, Array]:

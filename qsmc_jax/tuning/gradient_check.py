@@ -20,12 +20,12 @@ def refuse_jumps(study: Study) -> None:
         InputError: The law switches, or a signal is rounded.
     """
     loop = study.nominal.loop
-    law = type(loop.control).__name__
-    require(
-        loop.control.has_derivative,
-        f"The gradient of this study can't be trusted: `{law}` switches by the sign of sigma, which has no derivative. "
-        "Tune `BoundaryLayer` or the quasi-sliding law.",
-    )
+    for law in (channel.control for channel in loop.channels):
+        require(
+            law.has_derivative,
+            f"The gradient of this study can't be trusted: `{type(law).__name__}` switches by the sign of sigma, which "
+            "has no derivative. Tune `BoundaryLayer` or the quasi-sliding law.",
+        )
     made = loop.implementation
     for name in ("measurement_resolution", "input_resolution"):
         require(

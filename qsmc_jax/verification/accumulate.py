@@ -4,9 +4,10 @@ import dataclasses
 from collections.abc import Callable, Mapping
 
 from qsmc_jax.base.checks import require_count, require_fraction, require_kind
-from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER
+from qsmc_jax.metrics.claims import statement_of
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.trajectory import reaching_time
 from qsmc_jax.statistics.anytime import confidence_sequence
 from qsmc_jax.statistics.intervals import clopper_pearson
 from qsmc_jax.study.runs import Runs, concatenate
@@ -47,10 +48,10 @@ class VerificationAccumulator:
 
     def __init__(self, study: Study, worst: int):
         """None yet; so many of the worst rows will be kept."""
-        reaching_time = float(study.nominal.loop.control.funnel.reaching_time(study.bandwidth))
+        t_r = reaching_time(study.nominal.loop, study.bandwidth)
         self.study, self.runs, self.sample = study, 0, Sample()
         records = map(study.record_of, study.measured)
-        self.summary = Summary(worst, 2.0 * reaching_time or 1.0, study.claims, records)
+        self.summary = Summary(worst, 2.0 * t_r or 1.0, study.claims, records)
 
     def add(self, table: Runs) -> None:
         """Takes a table of decided rows in."""
@@ -141,6 +142,5 @@ def _claim(
             violated, undecided = check.violated, total - check.held - check.violated
         return interval(violated, undecided, total, confidence)
 
-    told = "all claims together" if name == TOGETHER else f"requirement {name} of the study"
-    about = {"name": name, "statement": STATEMENTS.get(name, told)}
+    about = {"name": name, "statement": statement_of(name)}
     return Claim.of(counts, confidence, of_the_confirmed, **about, changed=check.changed, confirmed=check.violated)

@@ -5,9 +5,9 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
-from qsmc_jax.metrics.claims import STATEMENTS, margin_column, verdict_column
+from qsmc_jax.metrics.claims import is_requirement, margin_column, verdict_column
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.study.runs import Runs, concatenate, replace_rows
@@ -132,19 +132,27 @@ def is_open(
 def is_near(tables: Sequence[Runs]) -> Bool[np.ndarray, "claims rows"]:
     """Where the last solve knows the margin of a requirement, and it is too small to tell its sign."""
     table, unknown = tables[-1], np.full(len(tables[-1]), np.nan)
-    margins = [unknown if claim in STATEMENTS else table[margin_column(claim)] for claim in table.claims]
+    margins = [table[margin_column(claim)] if is_requirement(claim) else unknown for claim in table.claims]
     return np.isfinite(margins) & (table.verdicts == Verdict.UNDECIDED)
 
 
 def breaches_bound(table: Runs) -> Bool[np.ndarray, " rows"]:
     """Rows that HELD with a higher peak than the comparison lemma allows, where its premise on g holds.
 
-    A study that does not ask for `peak_u_bound` has no such rows.
+    With several inputs it is Lyapunov's inequality that allows so much. A study that does not ask for `peak_u_bound`
+    has no such rows.
     """
+    held = table["verdict"] == Verdict.HELD
+    if "barrier_bound" in table:
+        return held & _passes(table["peak_barrier"], table["barrier_bound"])
     if "peak_u_bound" not in table:
         return np.zeros(len(table), bool)
-    allowed = table["peak_u_bound"] * (1.0 + _BREACH_RTOL) + _BREACH_ATOL
-    return (table["verdict"] == Verdict.HELD) & (table["least_gain"] > 0.0) & (table["peak_u"] > allowed)
+    return held & (table["least_gain"] > 0.0) & _passes(table["peak_u"], table["peak_u_bound"])
+
+
+def _passes(peak: Float[np.ndarray, " rows"], bound: Float[np.ndarray, " rows"]) -> Bool[np.ndarray, " rows"]:
+    """Whether a peak is higher than its bound, beyond what the solve may be wrong."""
+    return peak > bound * (1.0 + _BREACH_RTOL) + _BREACH_ATOL
 
 
 def _disagree(by_tier: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from qsmc_jax.base.checks import show
 from qsmc_jax.display.notebook import as_html
 from qsmc_jax.display.result import AbstractResult
 from qsmc_jax.metrics.claims import TOGETHER, breached, breaching, headline
@@ -13,6 +14,7 @@ from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.probed import probed_functions, said_of_probed
 from qsmc_jax.simulation.settings import SolverSettings
+from qsmc_jax.simulation.trajectory import reaching_time
 from qsmc_jax.statistics.intervals import runs_needed
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -153,7 +155,7 @@ class Verification(AbstractResult):
             "confidence": self.confidence,
             "interval": "confidence sequence" if self.is_anytime else "Clopper-Pearson",
             "decision": self.decision,
-            "bandwidth": float(self.study.bandwidth),
+            "bandwidth": np.asarray(self.study.bandwidth, float).tolist(),
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": [_summary(claim) for claim in self.claims],
             "together": _summary(self.together),
@@ -206,7 +208,7 @@ class Verification(AbstractResult):
     def _doubts(self) -> str:
         doubts = [f"{c.undecided} runs undecided on {c.name}." for c in self.claims if c.undecided]
         nominal = self.study.nominal
-        t_r, t1 = float(nominal.loop.control.funnel.reaching_time(self.study.bandwidth)), float(nominal.t1)
+        t_r, t1 = reaching_time(nominal.loop, self.study.bandwidth), float(nominal.t1)
         if t_r >= t1 and any(c.undecided for c in self.claims[1:3]):
             doubts.append(f"The reaching time {t_r:.4g} s lies beyond the horizon {t1:.4g} s: make `t1` longer.")
         doubts += [f"No admissible run for {c.name}." for c in self.claims if c.verdict == Verdict.INADMISSIBLE]
@@ -260,7 +262,7 @@ class Verification(AbstractResult):
         return runs_needed(probability, self.confidence)
 
     def __str__(self) -> str:
-        rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {self.study.bandwidth:g}"]
+        rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {show(np.asarray(self.study.bandwidth, float))}"]
         shown = (*self.claims, self.together) if self.study.requirements else self.claims
         width = max(10, *(len(claim.name) + 1 for claim in shown))
         rows.append(f"{'claim':{width}}{HEADING}   violation probability")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.metrics.claims import STATEMENTS, TOGETHER, headline, margin_column, together, verdict_column
+from qsmc_jax.metrics.claims import TOGETHER, headline, is_requirement, margin_column, together, verdict_column
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import Runs, concatenate, count_verdicts
@@ -160,7 +160,7 @@ def worst_first(table: Runs, claim: str | None = None) -> np.ndarray:
         table: The rows.
         claim: The claim; None for the funnel first, and of equals the requirements.
     """
-    own = [each for each in table.claims if each not in STATEMENTS] if claim is None else []
+    own = [each for each in table.claims if is_requirement(each)] if claim is None else []
     margin = table[margin_column(claim or "funnel")]
     # What has no margin, since it was not followed to the end, is as bad as its verdict.
     keys = [table["index"], np.where(np.isnan(margin), 0.0, margin)]

@@ -11,10 +11,15 @@ from qsmc_jax.control.law import QuasiSlidingControl
 
 def slope(control: QuasiSlidingControl) -> RealScalarLike:
     r"""How steep the tangent is at $\sigma = 0$ when the funnel has shrunk, $\pi K / 2\rho_\infty$."""
-    return 0.5 * math.pi * control.gain / control.funnel.narrowest
+    return 0.5 * math.pi * _gain(control) / control.funnel.narrowest
 
 
 @entry_point
 def error_at_rest(control: QuasiSlidingControl, needed: RealScalarLike) -> RealScalarLike:
     r"""The $|\sigma|$ at which the tangent gives the input `needed`, when the funnel has shrunk."""
-    return (2.0 / math.pi) * control.funnel.narrowest * jnp.arctan(needed / control.gain)
+    return (2.0 / math.pi) * control.funnel.narrowest * jnp.arctan(needed / _gain(control))
+
+
+def _gain(control: QuasiSlidingControl) -> RealScalarLike:
+    """What the tangent is multiplied by when the funnel has shrunk."""
+    return control.gain / control.funnel.narrowest if control.is_scaled else control.gain

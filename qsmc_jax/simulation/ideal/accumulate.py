@@ -16,9 +16,10 @@ from qsmc_jax.metrics.accumulate import add_step as add_own
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.gudermann import margin, sinh_cosh
 from qsmc_jax.numerics.hermite import Cubic, Quartic, cubics, integral_of_square
+from qsmc_jax.simulation.ideal.barrier import RunningBarrier, add_barrier, first_barrier
 from qsmc_jax.simulation.ideal.input import RunningInput, add_input, first_input
 from qsmc_jax.simulation.ideal.step import IdealStep, Step, as_scalars, no_step
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
 from qsmc_jax.simulation.spans import OutsideStep, Span
 
 
@@ -38,7 +39,7 @@ class Drift(AbstractModule):
 
 
 class RunningMetrics(AbstractModule):
-    """The running metrics of one run, all scalars; see `Metrics` for what becomes of them.
+    """The running metrics of one channel, all scalars; see `Metrics` for what becomes of them.
 
     `gain` is the gain, times its sign, at the end of the last step; `unsettled` is the last step in which an error
     reached its bound; `drift` is None where the coordinates can't.
@@ -54,8 +55,15 @@ class RunningMetrics(AbstractModule):
     gain: RealScalarLike
     least_gain: RealScalarLike
     largest_disturbance: RealScalarLike
-    own: States
     drift: Drift | None = None
+
+
+class Running(AbstractModule):
+    """The running metrics of one run: of each channel, of the study, and of several channels together."""
+
+    channels: tuple[RunningMetrics, ...]
+    own: States
+    barrier: RunningBarrier | None = None
 
 
 class _End(AbstractModule):
@@ -69,8 +77,24 @@ class _End(AbstractModule):
     s_rate: RealScalarLike
 
 
-def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
+def first_metrics(problem: AbstractProblem, y0: Scalars) -> Running:
     """The metrics at time 0."""
+    own = first_states(problem.measures, IdealStep(no_step(y0), problem))
+    barrier = first_barrier(problem, y0) if isinstance(problem, JointProblem) else None
+    return Running(tuple(_first_of_channel(each, y0) for each in problem.channels), own, barrier)
+
+
+def add_step(problem: AbstractProblem, running: Running, step: Step) -> Running:
+    """The metrics after one more step."""
+    channels = zip(problem.channels, running.channels, strict=True)
+    own = add_own(problem.measures, running.own, IdealStep(step, problem))
+    barrier = running.barrier
+    if isinstance(problem, JointProblem) and barrier is not None:
+        barrier = add_barrier(problem, barrier, step)
+    return Running(tuple(_add_to_channel(*each, step) for each in channels), own, barrier)
+
+
+def _first_of_channel(problem: Problem, y0: Scalars) -> RunningMetrics:
     loop, zero = problem.loop, jnp.zeros(())
     x0 = problem.coordinates.state(loop, zero, y0)
     s0 = problem.coordinates.funnel_coordinate(loop, zero, y0)
@@ -86,13 +110,11 @@ def first_metrics(problem: Problem, y0: Scalars) -> RunningMetrics:
         gain=gain,
         least_gain=gain,
         largest_disturbance=jnp.asarray(jnp.abs(loop.disturbance(zero))),
-        own=first_states(problem.measures, IdealStep(no_step(y0), problem)),
         drift=_first_drift(problem, y0, s0),
     )
 
 
-def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMetrics:
-    """The metrics after one more step."""
+def _add_to_channel(problem: Problem, running: RunningMetrics, step: Step) -> RunningMetrics:
     loop, t1, h = problem.loop, step.t1, step.t1 - step.t0
     s1 = problem.coordinates.funnel_coordinate(loop, t1, step.y1)
     sinh1 = sinh_cosh(s1)[0]
@@ -108,13 +130,13 @@ def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMe
     exceeds = problem.barrier.claim(_exceeds(problem, heights, left.errors))
     middle = problem.coordinates.funnel_coordinate(loop, step.t0 + 0.5 * h, step.middle)
     path = Quartic(s, middle)
-    peak, seen = _peak(problem, step, path), IdealStep(step, problem)
+    peak = _peak(problem, step, path)
     end = loop.input_at(t1, right.errors, loop.desired(t1), s1), sinh1
     x1 = problem.coordinates.state_of(loop, t1, step.y1, right.errors)
     gain, disturbance = loop.control.gain_sign * loop.gain(t1, x1), jnp.abs(loop.disturbance(t1))
     return RunningMetrics(
         errors=as_scalars(right.errors),
-        input=add_input(problem, running.input, seen, s, path, end),
+        input=add_input(problem, running.input, IdealStep(step, problem), s, path, end),
         peak=pytrees.where(peak.height > running.peak.height, peak, running.peak),
         outside=pytrees.where(sigma_height >= problem.bandwidth, OutsideStep(step.t0, h, sigma), running.outside),
         unsettled=pytrees.where(exceeds, Span(step.t0, t1), running.unsettled),
@@ -125,7 +147,6 @@ def add_step(problem: Problem, running: RunningMetrics, step: Step) -> RunningMe
         gain=jnp.asarray(gain),
         least_gain=jnp.minimum(running.least_gain, gain),
         largest_disturbance=jnp.maximum(running.largest_disturbance, disturbance),
-        own=add_own(problem.measures, running.own, seen),
         drift=_drift(problem, running.drift, step, peak),
     )
 

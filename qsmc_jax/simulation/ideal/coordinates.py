@@ -60,19 +60,34 @@ class AbstractCoordinates(AbstractModule):
 
 
 class AbstractFunnelCoordinates(AbstractCoordinates):
-    """Coordinates of which the last is the funnel coordinate."""
+    """Coordinates of which one is the funnel coordinate."""
+
+    @abc.abstractmethod
+    def place(self, loop: ClosedLoop) -> int:
+        """Which of them."""
 
     def funnel_coordinate(self, loop: ClosedLoop, t: RealScalarLike, y: State) -> RealScalarLike:
-        return y[-1]
+        return y[self.place(loop)]
 
     def funnel_motion(
         self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State
     ) -> tuple[RealScalarLike, RealScalarLike]:
-        return y[-1], dy[-1]
+        return y[self.place(loop)], dy[self.place(loop)]
 
     def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
-        absolute = (*(settings.atol,) * (len(size) - 1), settings.funnel_atol)
-        return tuple(settings.rtol * each for each in size), absolute
+        return funnel_tolerances(size, settings)
+
+
+def funnel_tolerances(size: State, settings: SolverSettings, channels: int = 1) -> tuple[Scalars, Scalars]:
+    """What coordinates tolerate of which the last ones are funnel coordinates.
+
+    Args:
+        size: Their sizes.
+        settings: The settings.
+        channels: How many are funnel coordinates.
+    """
+    absolute = (*(settings.atol,) * (len(size) - channels), *(settings.funnel_atol,) * channels)
+    return tuple(settings.rtol * each for each in size), absolute
 
 
 class FunnelCoordinates(AbstractFunnelCoordinates):
@@ -85,6 +100,9 @@ class FunnelCoordinates(AbstractFunnelCoordinates):
 
     Source: paper, eqs. (4) and (9), transformed.
     """
+
+    def place(self, loop: ClosedLoop) -> int:
+        return -1
 
     def start(self, loop: ClosedLoop, x0: State) -> Scalars:
         return (*loop.errors(0.0, x0)[:-1], funnel_coordinate(loop.ratio(0.0, x0)))

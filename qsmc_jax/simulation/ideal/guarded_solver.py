@@ -1,7 +1,7 @@
 """The solver of the closed loop: a diffrax method, a guard, and the running metrics."""
 
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar
 
 import diffrax as dfx
@@ -14,9 +14,9 @@ from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.enclosures.unseen import Step as Stretch
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.simulation.guard import hidden
-from qsmc_jax.simulation.ideal.accumulate import RunningMetrics, add_step
+from qsmc_jax.simulation.ideal.accumulate import Running, RunningMetrics, add_step
 from qsmc_jax.simulation.ideal.step import Step
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
 from qsmc_jax.simulation.settings import INSTANT, SolverSettings, absolute_tolerance
 from qsmc_jax.solvers.rosenbrock import Rosenbrock
 from qsmc_jax.solvers.tsit5 import Tsit5, derivative_at_start
@@ -36,7 +36,7 @@ class Run(eqx.Module):
     """The integrated state: coordinates `y`, which the method advances, and the running metrics, which ride along."""
 
     y: Scalars
-    running: RunningMetrics
+    running: Running
 
 
 class StepError(eqx.Module):
@@ -50,7 +50,7 @@ class _RunInterpolation(dfx.AbstractLocalInterpolation):
     """The method's own interpolant for `y`; the running metrics are those of the step's end."""
 
     inner: dfx.AbstractLocalInterpolation
-    running: RunningMetrics
+    running: Running
 
     @property
     def t0(self) -> RealScalarLike:
@@ -86,9 +86,7 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
     def interpolation_cls(  # pyright: ignore[reportIncompatibleMethodOverride]  # diffrax's own wrapping solvers do so too
         self,
     ) -> Callable[..., _RunInterpolation]:
-        def interpolation(
-            *, t0: RealScalarLike, t1: RealScalarLike, inner: Any, running: RunningMetrics
-        ) -> _RunInterpolation:
+        def interpolation(*, t0: RealScalarLike, t1: RealScalarLike, inner: Any, running: Running) -> _RunInterpolation:
             return _RunInterpolation(inner=self.method.interpolation_cls(t0=t0, t1=t1, **inner), running=running)
 
         return interpolation
@@ -96,10 +94,10 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
     def order(self, terms: Any) -> int | None:
         return self.method.order(terms)
 
-    def func(self, terms: Any, t0: RealScalarLike, y0: Run, args: Problem) -> Run:
+    def func(self, terms: Any, t0: RealScalarLike, y0: Run, args: AbstractProblem) -> Run:
         return Run(_field(t0, y0.y, args), pytrees.zeros_like(y0.running))
 
-    def init(self, terms: Any, t0: RealScalarLike, t1: RealScalarLike, y0: Run, args: Problem) -> Any:
+    def init(self, terms: Any, t0: RealScalarLike, t1: RealScalarLike, y0: Run, args: AbstractProblem) -> Any:
         return self.method.init(_TERM, t0, t1, y0.y, args)
 
     def step(
@@ -108,56 +106,80 @@ class GuardedSolver(dfx.AbstractAdaptiveSolver):
         t0: RealScalarLike,
         t1: RealScalarLike,
         y0: Run,
-        args: Problem,
+        args: AbstractProblem,
         solver_state: Any,
         made_jump: Any,
     ) -> tuple[Run, StepError, dict[str, Any], Any, dfx.RESULTS]:
         rate0 = derivative_at_start(_TERM, t0, y0.y, args, solver_state, made_jump)
         y1, error, dense, rate1, result = self.method.step(_TERM, t0, t1, y0.y, args, rate0, False)
-        s1 = args.coordinates.funnel_coordinate(args.loop, t1, y1)
-        is_sound = pytrees.is_finite((y1, error, rate1)) & (jnp.abs(s1) <= FARTHEST)
+        farthest = _largest(jnp.abs(each.coordinates.funnel_coordinate(each.loop, t1, y1)) for each in args.channels)
+        is_sound = pytrees.is_finite((y1, error, rate1)) & (farthest <= FARTHEST)
         kept1, rate1 = pytrees.where(is_sound, (y1, rate1), (y0.y, rate0))
         running = _ADD_STEP(args, y0.running, Step(t0, t1, **{**dense, "y1": kept1}, derivative=rate1))
         moved = tuple(INSTANT * t1 * (jnp.abs(a) + jnp.abs(b)) for a, b in zip(rate0, rate1, strict=True))
-        local = self._in_tolerances(args, error, y0.y, kept1, running.peak.height, moved)
+        peak = _largest(each.peak.height for each in running.channels)
+        local = self._in_tolerances(args, error, y0.y, kept1, peak, moved)
         if not isinstance(self.method, Rosenbrock):
-            local = jnp.maximum(local, (_decay(args, t0, t1, running) / _STABLE) ** _STABLE_STEEPNESS)
+            local = jnp.maximum(local, (_decay(args, t0, t1, running, kept1) / _STABLE) ** _STABLE_STEEPNESS)
         step, ys = Stretch(t0, t1, self.method.nodes), (y0.y, dense["middle"], y1)
-        sinhs, us = (
-            tuple(jnp.abs(getattr(each, name)) for each in (y0.running.input, running.input)) for name in ("sinh", "u")
-        )
+        ends = list(zip(y0.running.channels, running.channels, strict=True))
+        sinhs, us = ([_sizes(pair, name) for pair in ends] for name in ("sinh", "u"))
         unseen = hidden(args, step, ys, sinhs, us, self.settings.rtol, self.settings.atol / self.settings.rtol)
         y1, error = kept1, StepError(jnp.where(is_sound, local, jnp.inf), unseen)
-        has_escaped = is_sound & (jnp.abs(s1) >= ESCAPE)
+        has_escaped = is_sound & (farthest >= ESCAPE)
         result = dfx.RESULTS.where(has_escaped, dfx.RESULTS.event_occurred, result)
         return Run(y1, running), error, {"inner": dense, "running": running}, rate1, result
 
     def _in_tolerances(
-        self, problem: Problem, error: Scalars, y0: Scalars, y1: Scalars, peak: RealScalarLike, moved: Scalars
+        self, problem: AbstractProblem, error: Scalars, y0: Scalars, y1: Scalars, peak: RealScalarLike, moved: Scalars
     ) -> RealScalarLike:
         """The largest error, in units of what is tolerated."""
         size = tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(y0, y1, strict=True))
-        parts = zip(error, moved, *problem.coordinates.tolerances(size, self.settings), strict=True)
+        parts = zip(error, moved, *problem.tolerances(size, self.settings), strict=True)
         return ft.reduce(jnp.maximum, [jnp.abs(e) / (r + absolute_tolerance(a, peak, m)) for e, m, r, a in parts])
 
 
 @eqx.filter_jit  # so that its many calls in a step are traced once
-def _field(t: RealScalarLike, y: Scalars, problem: Problem) -> Scalars:
-    return problem.barrier(problem.coordinates.vector_field(t, y, problem.loop))
+def _field(t: RealScalarLike, y: Scalars, problem: AbstractProblem) -> Scalars:
+    return problem.barrier(problem.vector_field(t, y))
 
 
-def _decay(problem: Problem, t0: RealScalarLike, t1: RealScalarLike, end: RunningMetrics) -> RealScalarLike:
-    r"""By how much a deviation decays within a step [-], by its end: $h |g| K \frac{\pi}{2\rho} \cosh 2s$ for s.
+def _sizes(pair: tuple[RunningMetrics, RunningMetrics], name: str) -> tuple[RealScalarLike, RealScalarLike]:
+    """The size of the input, or of sinh s, at both ends of a step."""
+    before, after = (jnp.abs(getattr(each.input, name)) for each in pair)
+    return before, after
+
+
+def _largest(values: Iterable[RealScalarLike]) -> RealScalarLike:
+    return ft.reduce(jnp.maximum, values)
+
+
+def _decay(
+    problem: AbstractProblem, t0: RealScalarLike, t1: RealScalarLike, end: Running, y1: Scalars
+) -> RealScalarLike:
+    """By how much a deviation decays within a step [-], by its end; of several channels a bound of the fastest mode."""
+    pairs = list(zip(problem.channels, end.channels, strict=True))
+    if not isinstance(problem, JointProblem):
+        rate = _largest(_decay_rate(each, t1, last, jnp.abs(last.gain)) for each, last in pairs)
+        return jax.lax.stop_gradient((t1 - t0) * rate)
+    # diag(a) B diag(b) is similar to diag(r) B diag(r) with r^2 = ab: no mode is faster than a row's sum.
+    roots = [jnp.sqrt(_decay_rate(each, t1, last, 1.0)) for each, last in pairs]
+    rows = problem.loop.decoupling(t1, y1[: problem.loop.states])
+    sums = (sum(jnp.abs(b) * root for b, root in zip(row, roots, strict=True)) for row in rows)
+    rate = _largest(root * total for root, total in zip(roots, sums, strict=True))
+    return jax.lax.stop_gradient((t1 - t0) * rate)
+
+
+def _decay_rate(problem: Problem, t1: RealScalarLike, end: RunningMetrics, gain: RealScalarLike) -> RealScalarLike:
+    r"""The rate of that decay for a gain g: $|g| K \frac{\pi}{2\rho} \cosh 2s$ for s.
 
     For a law of the user's it is that of the sliding variable.
     """
     law = problem.loop.control
     if isinstance(law, QuasiSlidingControl):
-        rate = jnp.abs(end.gain) * law.gain * (0.5 * jnp.pi) * (1.0 + 2.0 * end.input.sinh**2) / law.funnel(t1)
-    else:
-        deviation = law.surface(end.errors) - law.funnel.centre(t1)
-        rate = jnp.abs(end.gain) * problem.loop.steepness(t1, end.errors, problem.loop.desired(t1), deviation)
-    return jax.lax.stop_gradient((t1 - t0) * rate)
+        return gain * law.gain_at(t1) * (0.5 * jnp.pi) * (1.0 + 2.0 * end.input.sinh**2) / law.funnel(t1)
+    deviation = law.surface(end.errors) - law.funnel.centre(t1)
+    return gain * problem.loop.steepness(t1, end.errors, problem.loop.desired(t1), deviation)
 
 
 _TERM = dfx.ODETerm(_field)

@@ -1,7 +1,7 @@
 """The input of the ideal loop inside the steps: its extremes, its variation and its energy.
 
 Under the paper's law it is monotone in the funnel coordinate s, whose extremes and turning points in a step are known.
-What another law does in a step is read off the quartic through five instants of it.
+What another law, or the scaled one, does in a step is read off the quartic through five instants of it.
 """
 
 import itertools as it
@@ -11,6 +11,7 @@ import numpy as np
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.numerics.gudermann import sinh_cosh
 from qsmc_jax.numerics.hermite import Cubic, Quartic
@@ -42,9 +43,14 @@ class RunningInput(AbstractModule):
     energy: RealScalarLike
 
 
+def law_of_coordinate(law: AbstractControl) -> QuasiSlidingControl | None:
+    """The law if its input is a function of the funnel coordinate alone, else None."""
+    return law if isinstance(law, QuasiSlidingControl) and not law.is_scaled else None
+
+
 def first_input(problem: Problem, u0: RealScalarLike, s0: RealScalarLike) -> RunningInput:
     """What is known at time 0."""
-    first = jnp.asarray(s0 if isinstance(problem.loop.control, QuasiSlidingControl) else u0)
+    first = jnp.asarray(u0 if law_of_coordinate(problem.loop.control) is None else s0)
     zero = jnp.zeros(())
     return RunningInput(jnp.asarray(u0), sinh_cosh(s0)[0], first, first, zero, zero)
 
@@ -67,11 +73,11 @@ def add_input(
         path: The same, better.
         end: The input, and sinh s, at its end.
     """
-    law, h, (u1, sinh1) = problem.loop.control, step.t1 - step.t0, end
-    if isinstance(law, QuasiSlidingControl):
+    law, h, (u1, sinh1) = law_of_coordinate(problem.loop.control), step.t1 - step.t0, end
+    if law is not None:
         low, high = problem.barrier(path.extremes())
-        variation = _variation(running.u, tuple(law.at(turn) for turn in s.stations()[1:-1]), u1)
-        inner = sum(law.at(s(node)) ** 2 for node in _LOBATTO_NODES)
+        variation = _variation(running.u, tuple(law.at(turn, step.t1) for turn in s.stations()[1:-1]), u1)
+        inner = sum(law.at(s(node), step.t1) ** 2 for node in _LOBATTO_NODES)
         mean_square = _LOBATTO_END * (running.u**2 + u1**2) + _LOBATTO_INNER * inner
     else:
         us = jnp.stack([running.u, *(step.at(float(theta)).u for theta in _FIVE[1:-1]), u1])
@@ -84,9 +90,9 @@ def add_input(
 
 def least_and_largest(problem: Problem, running: RunningInput) -> tuple[RealScalarLike, RealScalarLike]:
     """The extremes of the input."""
-    ends = running.low, running.high
-    if isinstance(problem.loop.control, QuasiSlidingControl):
-        ends = tuple(map(problem.loop.control.at, ends))
+    ends, law = (running.low, running.high), law_of_coordinate(problem.loop.control)
+    if law is not None:
+        ends = tuple(law.at(end, 0.0) for end in ends)
     return jnp.minimum(*ends), jnp.maximum(*ends)
 
 

@@ -1,5 +1,8 @@
 """From the end of a solve to what a user reads: outcome, verdict per claim, and the metrics of one run."""
 
+import dataclasses
+import functools as ft
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
@@ -15,14 +18,16 @@ from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.model.unseen import is_consistent
 from qsmc_jax.numerics.gudermann import margin, ratio, sinh_cosh
-from qsmc_jax.simulation.ideal.accumulate import Peak
+from qsmc_jax.simulation.ideal.accumulate import Peak, RunningMetrics
+from qsmc_jax.simulation.ideal.barrier import barrier_bound
 from qsmc_jax.simulation.ideal.guarded_solver import Run
-from qsmc_jax.simulation.ideal.input import least_and_largest
+from qsmc_jax.simulation.ideal.input import law_of_coordinate, least_and_largest
+from qsmc_jax.simulation.ideal.joined import joined
 from qsmc_jax.simulation.ideal.step import IdealStep, no_step
 from qsmc_jax.simulation.ideal.step_size import UNRESOLVED
 from qsmc_jax.simulation.judge import first_to_apply, is_refused, later_verdicts
 from qsmc_jax.simulation.outcome import Outcome
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
 from qsmc_jax.simulation.spans import is_since, last_outside
 
 # An instant, relative to the time: some ten thousand units in its last place.
@@ -40,27 +45,52 @@ _SAME = 1e-3
 
 
 class FinalState(AbstractModule):
-    """What the solver hands over: whether the run was admissible, the horizon, and where and how the solve stopped."""
+    """What the solver hands over: whether the run was admissible, the horizon, and where and how the solve stopped.
+
+    `rates` are those of the coordinates there, and `first_heights` |s| of each channel at time 0.
+    """
 
     refused: Int[Array, ""]
     horizon: Float[Array, ""]
     end_time: Float[Array, ""]
     run: Run
+    rates: Scalars
     result: dfx.RESULTS
-    first_height: RealScalarLike
+    first_heights: Scalars
     steps: Int[Array, ""]
 
 
-def read_metrics(problem: Problem, final: FinalState) -> Metrics:
+def read_metrics(problem: AbstractProblem, final: FinalState) -> Metrics:
     """Outcome first, then the verdicts, then the metrics: those of an unfinished run are masked."""
-    running = final.run.running
-    outcome, peak = _outcome(problem, final), running.peak
-    reach_time = last_outside(running.outside, problem.bandwidth, final.end_time)
-    settle_time = jnp.where(running.unsettled.end >= final.end_time, jnp.inf, running.unsettled.end)
-    verdict, reaching, tracking = _verdicts(problem, outcome, final, reach_time, settle_time)
+    running, leaving = final.run.running, [_leaves(each, final) for each in problem.channels]
+    outcome = _outcome(final, ft.reduce(jnp.logical_or, leaving))
     is_complete, resolution = outcome == Outcome.COMPLETED, _RESOLUTION * jnp.sqrt(problem.rtol)
     extent = Extent(final.end_time, final.horizon, is_complete, ~is_refused(outcome), resolution)
-    has_left = outcome == Outcome.LEFT_FUNNEL
+    own = read_states(problem.measures, running.own, IdealStep(no_step(final.run.y), problem), extent)
+    channels = []
+    for i, each in enumerate(problem.channels):
+        has_left = (outcome == Outcome.LEFT_FUNNEL) & leaving[i]
+        channels.append(_of_channel(each, final, running.channels[i], final.first_heights[i], outcome, has_left))
+    if not isinstance(problem, JointProblem) or running.barrier is None:
+        return dataclasses.replace(channels[0], own=own)
+    known = is_complete | (outcome == Outcome.LEFT_FUNNEL)
+    barrier = (running.barrier.height, barrier_bound(problem, running.barrier))
+    return joined(channels, tuple(jnp.where(known, each, jnp.nan) for each in barrier), own)
+
+
+def _of_channel(
+    problem: Problem,
+    final: FinalState,
+    running: RunningMetrics,
+    first_height: RealScalarLike,
+    outcome: Int[Array, ""],
+    has_left: Bool[Array, ""],
+) -> Metrics:
+    """The metrics of a channel, which may be the only one."""
+    peak, is_complete = running.peak, outcome == Outcome.COMPLETED
+    reach_time = last_outside(running.outside, problem.bandwidth, final.end_time)
+    settle_time = jnp.where(running.unsettled.end >= final.end_time, jnp.inf, running.unsettled.end)
+    verdict, reaching, tracking = _verdicts(problem, outcome, has_left, final, running, reach_time, settle_time)
     is_steady = is_complete & (final.end_time > problem.reaching_time)
     is_papers = isinstance(problem.loop.control, QuasiSlidingControl)
     min_u, max_u = least_and_largest(problem, running.input)
@@ -81,7 +111,7 @@ def read_metrics(problem: Problem, final: FinalState) -> Metrics:
         peak_u=known(_peak_input(problem, peak, min_u, max_u), jnp.inf if is_papers else jnp.nan),
         max_u=known(max_u, highest_if_left),
         min_u=known(min_u, lowest_if_left),
-        peak_u_bound=known(_comparison_bound(problem, peak, final.first_height)),
+        peak_u_bound=known(_comparison_bound(problem, peak, first_height)),
         reach_time=known(reach_time, jnp.inf),
         violation_time=known(jnp.inf, _escape_time(problem, final, has_left)),
         settle_time=known(settle_time, jnp.inf),
@@ -93,20 +123,29 @@ def read_metrics(problem: Problem, final: FinalState) -> Metrics:
         largest_disturbance=running.largest_disturbance,
         steps=final.steps,
         coordinate_drift=None if running.drift is None else jnp.asarray(running.drift.largest),
-        own=read_states(problem.measures, running.own, IdealStep(no_step(final.run.y), problem), extent),
     )
 
 
-def _outcome(problem: Problem, final: FinalState) -> Int[Array, ""]:
-    """The code of how the solve ended; leaving the funnel is distinguished from a solve that failed near its edge."""
-    result = final.result
-    is_stuck = (result == dfx.RESULTS.dt_min_reached) | (result == UNRESOLVED)
-    is_far = result == dfx.RESULTS.event_occurred
+def _is_stuck(final: FinalState) -> Bool[Array, ""]:
+    """Whether the steps became as short as time resolves."""
+    return jnp.asarray((final.result == dfx.RESULTS.dt_min_reached) | (final.result == UNRESOLVED))
+
+
+def _leaves(problem: Problem, final: FinalState) -> Bool[Array, ""]:
+    """Whether a channel leaves its funnel where the solve stopped, if it stopped early."""
+    is_stuck, is_far = _is_stuck(final), final.result == dfx.RESULTS.event_occurred
     leaves = (is_stuck | is_far) & _is_leaving(problem, final, is_far)
+    return jnp.asarray(leaves | (is_stuck & _is_thrown_out(problem, final)))
+
+
+def _outcome(final: FinalState, leaves: Bool[Array, ""]) -> Int[Array, ""]:
+    """The code of how the solve ended; leaving the funnel is distinguished from a solve that failed near its edge."""
+    result, is_stuck = final.result, _is_stuck(final)
+    is_far = result == dfx.RESULTS.event_occurred
     cases = (
         (_has_drifted(final), Outcome.DRIFTED),
         (result == dfx.RESULTS.successful, Outcome.COMPLETED),
-        (leaves | (is_stuck & _is_thrown_out(problem, final)), Outcome.LEFT_FUNNEL),
+        (leaves, Outcome.LEFT_FUNNEL),
         (is_far, Outcome.BEYOND_RESOLUTION),
         (result == UNRESOLVED, Outcome.UNRESOLVED),
         (is_stuck, Outcome.STEP_TOO_SMALL),
@@ -125,8 +164,8 @@ def _ends_of_input(problem: Problem, final: FinalState) -> tuple[RealScalarLike,
 
 def _peak_input(problem: Problem, peak: Peak, min_u: RealScalarLike, max_u: RealScalarLike) -> RealScalarLike:
     """The peak of |u|: without an offset it is where |s| has its own, which is found best."""
-    law, largest = problem.loop.control, jnp.maximum(jnp.abs(min_u), jnp.abs(max_u))
-    if not isinstance(law, QuasiSlidingControl):
+    law, largest = law_of_coordinate(problem.loop.control), jnp.maximum(jnp.abs(min_u), jnp.abs(max_u))
+    if law is None:
         return largest
     return jnp.where(law.offset == 0.0, law.gain * sinh_cosh(peak.height)[0], largest)
 
@@ -136,11 +175,11 @@ def _has_drifted(final: FinalState) -> Bool[Array, ""]:
 
     A run that ended inside must also have had more margin than that all the time; one that leaves comes to have none.
     """
-    drift = final.run.running.drift
-    if drift is None:
-        return jnp.array(False)
-    is_inside = final.result == dfx.RESULTS.successful
-    return jnp.asarray((drift.largest > _DRIFT) | (is_inside & (drift.room < 0.0)))
+    has_drifted, is_inside = jnp.array(False), final.result == dfx.RESULTS.successful
+    for drift in (each.drift for each in final.run.running.channels):
+        if drift is not None:
+            has_drifted = has_drifted | (drift.largest > _DRIFT) | (is_inside & (drift.room < 0.0))
+    return jnp.asarray(has_drifted)
 
 
 def _escape_time(problem: Problem, final: FinalState, has_left: Bool[Array, ""]) -> RealScalarLike:
@@ -148,8 +187,7 @@ def _escape_time(problem: Problem, final: FinalState, has_left: Bool[Array, ""])
 
     The times of the steps have none; but a run ends where s, not the time, has a given value.
     """
-    t, y = final.end_time, final.run.y
-    dy = problem.coordinates.vector_field(t, y, problem.loop)
+    t, y, dy = final.end_time, final.run.y, final.rates
     # Where it did not leave s may be anything: not even zero times its derivative is to be had.
     s, s_rate = (jnp.where(has_left, each, 1.0) for each in problem.coordinates.funnel_motion(problem.loop, t, y, dy))
     return t - (s - jax.lax.stop_gradient(s)) / jax.lax.stop_gradient(s_rate)
@@ -163,8 +201,7 @@ def _is_leaving(problem: Problem, final: FinalState, is_far: BoolScalarLike) -> 
     before, since its steps had become as short as time resolves, it is some thousands of these.
     """
     loop, t, y = problem.loop, final.end_time, final.run.y
-    dy = problem.coordinates.vector_field(t, y, loop)
-    s, s_rate = problem.coordinates.funnel_motion(loop, t, y, dy)
+    s, s_rate = problem.coordinates.funnel_motion(loop, t, y, final.rates)
     speed = jnp.abs(s_rate)
     left = 2.0 / jnp.where(speed > 0.0, speed, 1.0)
     instant = jnp.where(is_far, left, _IMMINENT * t)
@@ -219,7 +256,9 @@ def _is_thrown_out(problem: Problem, final: FinalState) -> BoolScalarLike:
 def _verdicts(
     problem: Problem,
     outcome: Int[Array, ""],
+    has_left: Bool[Array, ""],
     final: FinalState,
+    running: RunningMetrics,
     reach_time: RealScalarLike,
     settle_time: RealScalarLike,
 ) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
@@ -228,11 +267,11 @@ def _verdicts(
     A step that has t_s inside counts for tracking by its end alone: what exceeds a bound there begins the next step.
     """
     funnel = jnp.where(outcome == Outcome.COMPLETED, int(Verdict.HELD), int(Verdict.UNDECIDED))
-    funnel = jnp.where(outcome == Outcome.LEFT_FUNNEL, int(Verdict.VIOLATED), funnel)
+    funnel = jnp.where(has_left, int(Verdict.VIOLATED), funnel)
     funnel = jnp.where(is_refused(outcome), int(Verdict.INADMISSIBLE), funnel)
     # A run that is still outside where the horizon ends before t_r has broken nothing yet.
     is_late = (reach_time >= problem.reaching_time) & (final.horizon > problem.reaching_time)
-    is_broken = jnp.asarray(is_late), is_since(final.run.running.unsettled, problem.settling_time)
+    is_broken = jnp.asarray(is_late), is_since(running.unsettled, problem.settling_time)
     later = later_verdicts(problem, final.horizon, is_broken, (jnp.array(True), jnp.isfinite(settle_time)))
     admits = problem.loop.control.funnel.admits(problem.bandwidth)
     is_open = (funnel == Verdict.HELD) | ~admits
@@ -246,14 +285,15 @@ def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike
     Where |z| = |sigma|/rho peaks after the start its derivative is not negative outwards, so
     $\tan(\pi |z| / 2) \le (|w| + |\dot\rho|) / |g|$ there: sharper than the supremum over time, and it needs no search.
     With a gain K and an offset $u_0$ of the law: $K \tan \le (|w + g u_0| + |\dot\rho|) / |g|$, and $|u_0|$ more.
+    None is known of the scaled law, whose input peaks elsewhere.
     Source: the step "contradiction" in the proof of Theorem 1, made quantitative.
     """
-    loop, law, t = problem.loop, problem.loop.control, peak.time
-    if not isinstance(law, QuasiSlidingControl):
+    loop, law, t = problem.loop, law_of_coordinate(problem.loop.control), peak.time
+    if law is None:
         return jnp.full((), jnp.nan)
     x = problem.coordinates.state(loop, t, peak.y)
     balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
     gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
-    at_peak = law.funnel.load(t, loop.plain(balance).residual) / jnp.abs(gain)
+    at_peak = law.funnel.load(t, loop.plain(t, balance).residual) / jnp.abs(gain)
     bound = jnp.maximum(law.gain * sinh_cosh(first_height)[0], jnp.where(balance.gain == 0.0, jnp.inf, at_peak))
     return bound + jnp.abs(law.offset)

@@ -1,5 +1,6 @@
 """A step of the ideal loop, and the signals in it."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -7,8 +8,9 @@ import jax.numpy as jnp
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.metrics.signals import AbstractStep, Signals
+from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.numerics.gudermann import ratio
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
 from qsmc_jax.solvers.quartic_interpolation import QuarticInterpolation
 
 
@@ -36,7 +38,7 @@ class IdealStep(AbstractStep):
     """A step of the ideal loop as metrics see it."""
 
     data: Step
-    problem: Problem
+    problem: AbstractProblem
 
     @property
     def t0(self) -> RealScalarLike:
@@ -56,8 +58,15 @@ class IdealStep(AbstractStep):
         return ideal_signals(self.problem, step.t0 + theta * (step.t1 - step.t0), dense.at(theta))
 
 
-def ideal_signals(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
+def ideal_signals(problem: AbstractProblem, t: RealScalarLike, y: Scalars) -> Signals:
     """All signals of the ideal loop at one instant; sigma and u from the funnel coordinate."""
+    of_channels = [_of_channel(each, t, y) for each in problem.channels]
+    if not isinstance(problem, JointProblem):
+        return of_channels[0]
+    return joint_signals(problem.loop, t, y[: problem.loop.states], of_channels)
+
+
+def _of_channel(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
     loop, coordinates = problem.loop, problem.coordinates
     x, desired, rho = coordinates.state(loop, t, y), loop.desired(t), loop.control.funnel(t)
     centre = loop.control.funnel.centre(t)
@@ -66,6 +75,15 @@ def ideal_signals(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
     balance, u = loop.balance(t, x, e, desired), loop.input_at(t, e, desired, s)
     part, (d, w, g) = ratio(s), (balance.disturbance, balance.residual, balance.gain)
     return Signals(t, x, desired[:-1], e, rho * part + centre, rho, part, u, d, w, g)
+
+
+def joint_signals(loop: MultivariableLoop, t: RealScalarLike, x: Scalars, of_channels: Sequence[Signals]) -> Signals:
+    """The signals of several channels, each with a number for each channel, at the state `x`."""
+    desired, e, sigma, rho, ratio_, u, d = (
+        tuple(getattr(each, name) for each in of_channels)
+        for name in ("desired", "e", "sigma", "rho", "ratio", "u", "d")
+    )
+    return Signals(t, x, desired, e, sigma, rho, ratio_, u, d[0], *loop.drive(t, x))
 
 
 def no_step(y: Scalars) -> Step:

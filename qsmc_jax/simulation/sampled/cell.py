@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.implementation.swing import Swing, held_swing
-from qsmc_jax.loop import OwnTerms, Terms
 from qsmc_jax.metrics.signals import AbstractStep, Signals
+from qsmc_jax.model.terms import OwnTerms, Terms
 from qsmc_jax.numerics.hermite import Cubic, cubics
 from qsmc_jax.simulation.problem import Problem
 

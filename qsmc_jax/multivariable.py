@@ -1,0 +1,213 @@
+"""The closed loop of a plant with several inputs: a law, a reference and a disturbance for each channel."""
+
+import itertools as it
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from qsmc_jax.base.checks import is_traced, require, require_kind
+from qsmc_jax.base.module import AbstractModule, require_fields
+from qsmc_jax.base.precision import entry_point
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
+from qsmc_jax.channel import Channel
+from qsmc_jax.control.law import QuasiSlidingControl
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.model.disturbances import AbstractDisturbance
+from qsmc_jax.model.kinks import as_times
+from qsmc_jax.model.references import AbstractReference
+from qsmc_jax.model.state_space import AbstractStateSpace
+
+
+class MultivariableLoop(AbstractModule):
+    r"""A plant with m inputs and outputs under m laws, each of which sees its own sliding variable only.
+
+    With the decoupling matrix $B_{ij}$, by which input j drives the sliding variable of channel i, the loop is
+    $\dot\sigma = w + B u$. Under the scaled laws, $u_i = -\operatorname{sgn}_i K_i \tan(\pi z_i / 2) / \rho_i$, and if
+    $B \operatorname{diag}(\operatorname{sgn}_i K_i)$ has a positive definite symmetric part, with the least eigenvalue
+    $\lambda$, every $|z_i|$ stays below 1: $V = \frac{1}{\pi} \sum \ln(1 + \tan^2(\pi z_i / 2))$ falls wherever $v_i =
+    \tan(\pi z_i / 2) / \rho_i$ has $|v| > (|w| + |\dot\rho|) / \lambda$. Each run is held against that bound
+    (`peak_barrier` and `barrier_bound`). Laws that are not scaled have that proof if all funnels are as wide, and
+    Theorem 1 each if B is diagonal.
+
+    Attributes:
+        plant: The plant, with m relative degrees.
+        references: The desired outputs, m of them, each at least as often differentiable as its relative degree.
+        disturbances: The disturbances, m of them, which enter where the plant has them.
+        controls: The laws, m of them, each with a surface for its relative degree, and a funnel.
+
+    Raises:
+        InputError: There are not as many of each as inputs; or a surface, or a reference, does not fit its channel.
+
+    Examples:
+        Two masses on one spring, each with a force:
+
+        >>> import qsmc_jax as qj
+        >>> class Masses(qj.AbstractStateSpace):
+        ...     states, relative_degrees = 4, (2, 2)
+        ...     def vector_field(self, t, x, d):
+        ...         pull = x[2] - x[0]
+        ...         return x[1], pull + d[0], x[3], -pull + d[1]
+        ...     def input_matrix(self, t, x):
+        ...         return (0.0, 0.0), (1.0, 0.2), (0.0, 0.0), (0.2, 1.0)
+        ...     def output(self, t, x):
+        ...         return x[0], x[2]
+        >>> law = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), qj.Funnel(4.0, 3.0, 0.05), is_scaled=True)
+        >>> rest, calm = qj.references.Constant(0.0), qj.disturbances.Zero()
+        >>> loop = qj.MultivariableLoop(Masses(), (rest, rest), (calm, calm), (law, law))
+        >>> qj.simulate(loop, [0.5, 0.0, -0.2, 0.0], 10.0).verdict.name
+        'HELD'
+    """
+
+    hint: ClassVar[str] = "Make one: `qj.MultivariableLoop(plant, references, disturbances, controls)`."
+
+    plant: AbstractStateSpace
+    references: tuple[AbstractReference, ...]
+    disturbances: tuple[AbstractDisturbance, ...]
+    controls: tuple[QuasiSlidingControl, ...]
+
+    def __check_init__(self):
+        require_fields(self)
+        m, owner = len(self.plant.relative_degrees), type(self.plant).__name__
+        require(m > 1, f"Argument `plant` must have several inputs, but `{owner}` has one: make a `qj.ClosedLoop`.")
+        kinds = {"references": AbstractReference, "disturbances": AbstractDisturbance, "controls": QuasiSlidingControl}
+        for name, kind in kinds.items():
+            given = getattr(self, name)
+            is_tuple = isinstance(given, tuple) and len(given) == m
+            found = f"{len(given)} entries" if isinstance(given, tuple) else f"a `{type(given).__name__}`"
+            require(is_tuple, f"Argument `{name}` must be a tuple with one for each of the {m} inputs, but is {found}.")
+            for i, each in enumerate(given):
+                require_kind(f"{name}[{i}]", each, kind, kind.hint)
+        for loop in self.channels:  # each checks itself
+            require_kind("channels", loop, ClosedLoop, ClosedLoop.hint)
+
+    @property
+    def implementation(self) -> None:
+        """None: the loop is in continuous time."""
+        return
+
+    @property
+    def channels(self) -> tuple[ClosedLoop, ...]:
+        """Each channel as a loop with one input; see `Channel` for its state."""
+        parts = zip(self.references, self.disturbances, self.controls, strict=True)
+        made = (Channel(self.plant, self.controls, self.disturbances, i) for i in it.count())
+        return tuple(ClosedLoop(plant, *each) for plant, each in zip(made, parts, strict=False))
+
+    @property
+    def states(self) -> int:
+        """The number of states of the plant."""
+        return self.plant.states
+
+    @property
+    def order(self) -> int:
+        """The number of errors of all channels together."""
+        return sum(self.plant.relative_degrees)
+
+    @property
+    def sizes(self) -> tuple[int, tuple[int, ...]]:
+        """Numbers of states, and of errors of each channel."""
+        return self.states, self.plant.relative_degrees
+
+    def widths(self, bandwidth: Any) -> Scalars:
+        """The bandwidth of each channel; twice where each funnel ends if none is given.
+
+        Args:
+            bandwidth: Bandwidth of quasi-sliding mode, in units of the sliding variables: one for all, or m of them.
+        """
+        if bandwidth is None:
+            return tuple(2.0 * law.funnel.bandwidths[0] for law in self.controls)
+        m = len(self.controls)
+        if np.ndim(bandwidth) == 0:
+            return (bandwidth,) * m
+        require(
+            np.shape(bandwidth) == (m,),
+            f"Argument `bandwidth` must be one number, or one for each of the {m} channels, but has shape "
+            f"{np.shape(bandwidth)}.",
+        )
+        return tuple(bandwidth[i] for i in range(m))
+
+    @property
+    def axis(self) -> str:
+        """What a state is numbered by."""
+        return "state"
+
+    @property
+    def breaks_by_part(self) -> list[Array]:
+        """Times [s] at which the right-hand side jumps or kinks, for each of the loop's parts."""
+        funnels = [control.funnel for control in self.controls]
+        return [as_times(part.break_times) for part in (self.plant, *self.references, *self.disturbances, *funnels)]
+
+    def desired(self, t: RealScalarLike) -> tuple[Scalars, ...]:
+        """For each channel the desired output and its first r derivatives at time t [s].
+
+        Args:
+            t: Time [s].
+        """
+        return tuple(channel.desired(t) for channel in self.channels)
+
+    def decoupling(self, t: RealScalarLike, x: State) -> tuple[Scalars, ...]:
+        """The rows of the decoupling matrix B: what a unit of each input adds to each sliding variable's rate.
+
+        Args:
+            t: Time [s].
+            x: State, N scalars.
+        """
+        m, degrees = range(len(self.controls)), self.plant.relative_degrees
+        return tuple(tuple(self.plant.gains(t, x, i, j)[degrees[i] - 1] for j in m) for i in m)
+
+    def drive(self, t: RealScalarLike, x: State) -> tuple[Scalars, tuple[Scalars, ...]]:
+        r"""What drives the sliding variables, $\dot\sigma = w + B u$: w, m scalars, and the rows of B.
+
+        Args:
+            t: Time [s].
+            x: State, N scalars.
+        """
+        pushes = []
+        for channel in self.channels:
+            own, d = channel.plant, channel.disturbed(t)
+            assert isinstance(own, Channel)
+            _, rates = channel.errors_in_motion(t, x, own.free(t, x, d))
+            pushes.append(channel.control.surface(rates))
+        return tuple(pushes), self.decoupling(t, x)
+
+    def definiteness(self, t: RealScalarLike, x: State) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """The least and the greatest eigenvalue of the symmetric part of B with the laws' signs and gains.
+
+        Args:
+            t: Time [s].
+            x: State, N scalars.
+        """
+        strengths = jnp.stack([jnp.asarray(law.gain_sign * law.gain) for law in self.controls])
+        scaled = jnp.stack([jnp.stack(row) for row in self.decoupling(t, x)]) * strengths[None, :]
+        found = jnp.linalg.eigvalsh(0.5 * (scaled + scaled.T))
+        return found[0], found[-1]
+
+
+def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> None:
+    """Raises unless the inputs drive the sliding variables as the laws need it where a run starts; traced ones pass.
+
+    Args:
+        loop: The loop.
+        x0: The start, N numbers.
+
+    Raises:
+        InputError: The symmetric part of the decoupling matrix, with the laws' signs and gains, is not definite.
+    """
+    if is_traced(loop, x0):
+        return
+    matrix, least, greatest = _definiteness(loop, x0)
+    require(
+        float(least) > 0.0 or float(greatest) < 0.0,
+        f"The decoupling matrix of `{type(loop.plant).__name__}` must have a definite symmetric part at the start, but "
+        f"with the laws' signs and gains it has eigenvalues {float(least):.4g} ... {float(greatest):.4g}: "
+        f"{np.asarray(matrix).round(6).tolist()}. Pair each output with the input that drives it most, or change a "
+        "`gain_sign`.",
+    )
+
+
+@entry_point
+def _definiteness(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> tuple[Array, Array, Array]:
+    x, t = tuple(x0[i] for i in range(loop.states)), jnp.zeros(())
+    return jax.block_until_ready((loop.decoupling(t, x), *loop.definiteness(t, x)))
