@@ -11,6 +11,10 @@ from qsmc_jax.model.disturbances.random import random_sines as random_sines
 from qsmc_jax.model.disturbances.random import random_steps as random_steps
 from qsmc_jax.model.disturbances.random import random_telegraph as random_telegraph
 from qsmc_jax.model.disturbances.recorded import Recorded as Recorded
+from qsmc_jax.model.disturbances.spectra import dryden_gust as dryden_gust
+from qsmc_jax.model.disturbances.spectra import iso8608_road as iso8608_road
+from qsmc_jax.model.disturbances.spectra import jonswap_waves as jonswap_waves
+from qsmc_jax.model.disturbances.spectra import random_spectrum as random_spectrum
 from qsmc_jax.model.disturbances.switching import Piecewise as Piecewise
 from qsmc_jax.model.disturbances.switching import SmoothSteps as SmoothSteps
 from qsmc_jax.model.disturbances.switching import Telegraph as Telegraph
