@@ -3,11 +3,20 @@
 import gc
 import itertools
 import os
+import time
 from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # The processes of pytest-xdist share the cores between them. To be set before JAX and NumPy start their threads.
     os.environ.update(NPROC="1", OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # What one process, command or run of the tests compiles serves all: JAX keeps programs by what they do and how they
+    # are compiled. Commands find them where users have them, in their cache folder.
+    os.environ["XDG_CACHE_HOME"] = str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "d")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(os.environ["XDG_CACHE_HOME"]) / "qsmc_jax")
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 
 import hypothesis
 import jax
@@ -15,11 +24,15 @@ import jaxtyping
 import matplotlib as mpl
 import pytest
 
+import places
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 mpl.use("agg")
+
+_DAYS_KEPT = 3
 
 # As the program does: tracing makes many objects that stay, and looking through them each 700 new ones takes its time.
 gc.set_threshold(50_000)
@@ -28,10 +41,23 @@ gc.set_threshold(50_000)
 def pytest_configure(config):
     """Before anything imports the package: from here on beartype checks every call against its annotations.
 
-    Not for the slow tests alone, which it would make a quarter slower: what they call, the default ones call too.
+    Not for the slow tests alone, which it would make a quarter slower: what they call, the default ones call too. These
+    in turn have XLA write kernels in the older of its two ways: the same numbers but for rounding, less time to compile
+    and more to run. Slow tests, and all where `XLA_FLAGS` is set, if to nothing, compile as users do.
     """
     if config.option.markexpr != "slow":
         jaxtyping.install_import_hook("qsmc_jax", "beartype.beartype")
+        if jax.__version_info__ < (0, 11):  # XLA aborts where it does not know a flag
+            os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+    if not hasattr(config, "workerinput"):
+        _forget_old_programs()
+
+
+def _forget_old_programs():
+    """Those of the tests' own folder, lest it grow with every change."""
+    for program in (places.ROOT / ".pytest_cache" / "d" / "qsmc_jax").glob("*"):
+        if time.time() - program.stat().st_mtime > _DAYS_KEPT * 86_400:
+            program.unlink(missing_ok=True)
 
 
 hypothesis.settings.register_profile("default", deadline=None, derandomize=True, max_examples=50, database=None)
