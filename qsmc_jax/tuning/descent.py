@@ -11,7 +11,6 @@ import optimistix as optx
 from jaxtyping import Float
 from scipy import optimize, special
 
-from qsmc_jax.base.checks import require
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.tuning.batch import Batch
 
@@ -74,8 +73,6 @@ def descend(slope: Slope, v0: Float[np.ndarray, " names"], method: Method, steps
         steps: Steps at most.
         tolerance: Relative change of the objective below which it stops.
     """
-    if isinstance(method, str):
-        require(method in METHODS, f"Argument `method` must be one of {', '.join(METHODS)}, but is `{method}`.")
     v0 = _keeping_runs(slope, v0, steps)
     if slope.at(v0)[0][-1] > 0.0:
         return

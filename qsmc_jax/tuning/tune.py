@@ -14,7 +14,7 @@ from qsmc_jax.study.study import Study
 from qsmc_jax.tuning.batch import KEPT, Batch, Evaluation
 from qsmc_jax.tuning.bounds import bounds_of
 from qsmc_jax.tuning.certificate import Certificate, certify, confidence_of
-from qsmc_jax.tuning.descent import Method, Slope, descend
+from qsmc_jax.tuning.descent import METHODS, Method, Slope, descend
 from qsmc_jax.tuning.gradient_check import check_start, refuse_jumps
 from qsmc_jax.tuning.objectives import Constraint, Objective, parse_constraint, parse_objective
 from qsmc_jax.tuning.result import Tuning
@@ -144,6 +144,8 @@ class Search:
             require_count(name, getattr(self, name))
         fits = 1 <= self.descents <= self.starts
         require(fits, f"Argument `descents` must lie in [1, {self.starts}], the `starts`, but is {self.descents}.")
+        is_known = not isinstance(self.method, str) or self.method in METHODS
+        require(is_known, f"Argument `method` must be one of {', '.join(METHODS)}, but is `{self.method}`.")
 
 
 @dataclasses.dataclass(frozen=True)
