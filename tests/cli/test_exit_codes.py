@@ -85,7 +85,7 @@ def test_what_a_study_does_wrong_is_bad_input(tmp_path, logs, command, text):
 
 @pytest.mark.parametrize("broken", [None, {}.__getitem__, json.loads], ids=["ours", "Python's", "a library's"])
 def test_a_defect_of_ours_is_neither_a_verdict_nor_bad_input(logs, monkeypatch, broken):
-    monkeypatch.setattr("qsmc_jax.study.monte_carlo.BatchSolver", broken)
+    monkeypatch.setattr("qsmc_jax.verification.verify.BatchSolver", broken)
     done = qsmc("verify", STUDY, *SMALL, "--json")
     assert done.exit_code == 70, done.output
     said = only_json(done.stdout)
@@ -171,7 +171,7 @@ def test_an_interruption_is_not_an_answer(monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("qsmc_jax.study.monte_carlo.BatchSolver", interrupt)
+    monkeypatch.setattr("qsmc_jax.verification.verify.BatchSolver", interrupt)
     done = qsmc("verify", STUDY, *SMALL, "--json")
     assert done.exit_code == 3
     assert only_json(done.stdout)["error"]["kind"] == "interrupted"
