@@ -82,12 +82,12 @@ def test_maps_searches_and_tuning_know_them():
     search = qj.critical_value(study, "mu", below=0.5, claim="upward", steps=1, block=64)
     assert (
         search.tests[0].violated
-        == qj.monte_carlo(study.substitute(mu=1.0), search.tests[0].runs).counts("upward")[VIOLATED]
+        == qj.monte_carlo(study.substitute(mu=1.0), search.tests[0].runs, block=64).counts("upward")[VIOLATED]
     )
     assert "violating upward" in search.conclusion()
     options = {"runs": 8, "starts": 1, "steps": 6, "certificate_runs": 64, "block": 64}
     tuned = qj.tune(study, ["mu"], "mean(reach_time)", subject_to=["least(margin_upward) >= -0.6"], **options)
-    kept = qj.monte_carlo(study.substitute(**tuned.gains), 8)
+    kept = qj.monte_carlo(study.substitute(**tuned.gains), 8, block=64)
     with pytest.raises(
         qj.InputError, match="is the largest, but of `margin_upward` the smallest is the worst: use `least"
     ):
