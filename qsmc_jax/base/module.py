@@ -54,7 +54,7 @@ def require_fields(module: AbstractModule) -> None:
     for name, hint in _hints(type(module)).items():
         value: Any = getattr(module, name, None)
         dims, kinds = _dimensions(hint), _module_classes(hint)
-        if dims is not None and eqx.is_array_like(value):
+        if dims is not None and "..." not in dims and eqx.is_array_like(value):
             rank = len(dims.split())
             fits = np.ndim(value) == rank
             require(fits, f"Argument `{name}` of `{owner}` must be {_RANKS[rank]}, but has shape {np.shape(value)}.")
