@@ -3,7 +3,6 @@
 import itertools as it
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -208,6 +207,6 @@ def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> 
 
 
 @entry_point
-def _definiteness(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> tuple[Array, Array, Array]:
+def _definiteness(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> tuple[Any, Array, Array]:
     x, t = tuple(x0[i] for i in range(loop.states)), jnp.zeros(())
-    return jax.block_until_ready((loop.decoupling(t, x), *loop.definiteness(t, x)))
+    return loop.decoupling(t, x), *loop.definiteness(t, x)

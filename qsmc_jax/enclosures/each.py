@@ -96,10 +96,9 @@ class _SharedWalk:
         return results
 
     def _kept(self, name: Any, value: Enclosed) -> Enclosed:
-        is_often = self._once is not None and self._plan.uses[name] >= _OFTEN
-        if not is_often or not isinstance(value, Interval) or not jnp.issubdtype(value.lo.dtype, jnp.floating):
+        if self._once is None or self._plan.uses[name] < _OFTEN or not isinstance(value, Interval):
             return value
-        return Interval(*self._once(tuple(value)))
+        return Interval(*self._once(tuple(value))) if jnp.issubdtype(value.lo.dtype, jnp.floating) else value
 
 
 class _Plan:

@@ -141,7 +141,7 @@ def unseen_each(
     if all(is_point(whole.values[0]) for whole in wholes):
         return [Unseen(0.0, whole.values[0], whole.values[0]) for whole in wholes]
     times = [stretch.lo, *(step.t0 + place * step.length for place in step.nodes.few[1:-1]), stretch.hi]
-    seen, slopes = [scalars(time) for time in times], _slopes(scalars, stretch, wholes, once)
+    seen, slopes = [_kept(once, scalars(time)) for time in times], _slopes(scalars, stretch, wholes, once)
     is_fine, gap = step.length <= _FINEST * jnp.abs(stretch.hi), _widest(times)
     found = []
     for i, whole in enumerate(wholes):
@@ -152,9 +152,14 @@ def unseen_each(
         amount = _beyond(interval(whole.values[0]), low, high)
         if not whole.unknown:
             amount = jnp.minimum(amount, _climb(slopes[i], gap, whole))
-        amount = jnp.where(is_fine & jnp.isinf(amount), 0.0, amount)
+        amount = _kept(once, jnp.where(is_fine & jnp.isinf(amount), 0.0, amount))
         found.append(Unseen(amount, low - amount, high + amount, whole.unknown))
     return found
+
+
+def _kept(once: Callable[[Any], Any] | None, values: Any) -> Any:
+    """Values that are used more than once."""
+    return values if once is None else once(values)
 
 
 def _probed(fn: Callable[[Array], Sequence[Array]], stretch: Interval, unknown: tuple[str, ...]) -> Enclosure:

@@ -23,7 +23,8 @@ from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.enclosures.unseen import Step, Unseen, unseen, unseen_each
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
-from qsmc_jax.model.own_coordinates import AbstractOwnCoordinates
+from qsmc_jax.model.plants import AbstractPlant
+from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.model.unseen import (
     gain_range,
     is_consistent,
@@ -234,15 +235,15 @@ def _hiding(
     barrier: Barrier,
 ) -> Hiding:
     """What may hide in the plant and in the disturbance: of a plant in its own coordinates all at once."""
-    loop = loops[0]
-    if isinstance(loop.plant, AbstractOwnCoordinates):
+    loop, plant = loops[0], loops[0].plant
+    if not isinstance(plant, AbstractPlant):
         return _hiding_in_own(loops, step, at, largest, least, barrier)
     disturbance, sign = unseen_in_signal(loop.disturbance, step), loop.control.gain_sign
-    if is_known(loop.plant):
-        low, high = gain_range(loop.plant)
+    if is_known(plant):
+        low, high = gain_range(plant)
         gain = Unseen(0.0, jnp.minimum(sign * low, sign * high), jnp.nan)
         return Hiding((disturbance,), (gain,), 0.0)
-    drift, gain = unseen_each(lambda t: (loop.plant.drift(t, at(t)), sign * loop.gain(t, at(t))), step)
+    drift, gain = unseen_each(lambda t: (plant.drift(t, at(t)), sign * loop.gain(t, at(t))), step)
     return Hiding((joined([disturbance, drift]),), (gain,), 0.0)
 
 
@@ -261,7 +262,8 @@ def _hiding_in_own(
     """
     first, m, d = loops[0].plant, len(loops), _disturbed(loops[0], step)
     own = first.plant if isinstance(first, Channel) else first
-    states = first.states - m if isinstance(first, Channel) else first.states
+    assert isinstance(own, AbstractStateSpace)
+    states = own.states
 
     def numbers(t: RealScalarLike) -> tuple[RealScalarLike, ...]:
         x = at(t)[:states]

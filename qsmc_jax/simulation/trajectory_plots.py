@@ -7,6 +7,7 @@ import numpy as np
 from qsmc_jax.base.checks import require
 from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.display.plotting import BLUE, GREEN, GREY, ORANGE, RED, SERIES, one_axes, panels
+from qsmc_jax.simulation.channel_plots import plot_channels, plot_ratios
 
 
 def plot_trajectory(*runs: Any, labels: tuple[str, ...] | None = None, ax: Any = None) -> Any:
@@ -20,6 +21,8 @@ def plot_trajectory(*runs: Any, labels: tuple[str, ...] | None = None, ax: Any =
     Returns:
         The axes, (4,): output, errors, input, sliding variable.
     """
+    if len(runs[0].loop.channels) > 1:
+        return plot_channels(runs, ax)
     axes = panels(ax, 4, 2, (11.0, 7.0))
     outputs, errors, inputs, funnel = axes
     names = labels or ("",) * len(runs)
@@ -54,7 +57,7 @@ def plot_phase_plane(run: Any, ax: Any = None) -> Any:
     Raises:
         InputError: The plant is not of order 2.
     """
-    order = run.loop.order
+    order = run.loop.order if len(run.loop.channels) == 1 else tuple(each.order for each in run.loop.channels)
     require(order == 2, f"The phase plane needs a plant of order 2, but this one has order {order}. Use `plot()`.")
     ax = one_axes(ax, (7.0, 5.5))
     c = float(run.loop.control.surface.c[0])
@@ -88,6 +91,8 @@ def plot_funnel(run: Any, ax: Any = None) -> Any:
     Returns:
         The axes.
     """
+    if len(run.loop.channels) > 1:
+        return plot_ratios(run, ax)
     ax = one_axes(ax, (6.0, 3.6))
     ax.plot(run.ts, run.sigma, color=BLUE, label=r"$\sigma$")
     _funnel(ax, run)

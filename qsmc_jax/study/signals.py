@@ -32,7 +32,7 @@ class SignalBatch:
         x: States, (runs, times, n).
         desired: Desired output and its first n - 1 derivatives, (runs, times, n).
         e: Errors e^(0) ... e^(n-1), (runs, times, n).
-        sigma: Sliding variable, (runs, times).
+        sigma: Sliding variable, (runs, times); with several inputs, as the next three, (runs, times, m).
         rho: Funnel half-width, (runs, times).
         u: Control input, (runs, times).
         d: Disturbance, (runs, times).
@@ -52,10 +52,10 @@ class SignalBatch:
     x: Float[np.ndarray, "runs times states"]
     desired: Float[np.ndarray, "runs times n"]
     e: Float[np.ndarray, "runs times n"]
-    sigma: Float[np.ndarray, "runs times"]
-    rho: Float[np.ndarray, "runs times"]
-    u: Float[np.ndarray, "runs times"]
-    d: Float[np.ndarray, "runs times"]
+    sigma: Float[np.ndarray, "runs times ..."]
+    rho: Float[np.ndarray, "runs times ..."]
+    u: Float[np.ndarray, "runs times ..."]
+    d: Float[np.ndarray, "runs times ..."]
     axis: str = "derivative"
 
     def __len__(self) -> int:
@@ -65,7 +65,7 @@ class SignalBatch:
         """The signals as an `xarray.Dataset` over run, t [s] and the derivative; needs the extra `notebook`."""
         axes = {"x": self.axis}
         wide = {name: (("run", "t", axes.get(name, "derivative")), getattr(self, name)) for name in _PER_DERIVATIVE}
-        flat = {name: (("run", "t"), getattr(self, name)) for name in _SINGLE}
+        flat = {name: (("run", "t", "channel")[: self.sigma.ndim], getattr(self, name)) for name in _SINGLE}
         coordinates = {
             "run": self.runs["index"],
             "t": ("t", self.ts, {"units": "s"}),

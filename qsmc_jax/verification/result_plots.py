@@ -4,7 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.display.plotting import BLUE, GREY, ORANGE, RED, SKY, one_axes, panels
+from qsmc_jax.display.plotting import BLUE, GREY, ORANGE, RED, SERIES, SKY, one_axes, panels
+from qsmc_jax.simulation.channel_plots import draw_unit_funnel, ratios
+from qsmc_jax.simulation.trajectory import reaching_time
 from qsmc_jax.simulation.trajectory_plots import draw_edges, is_centred
 from qsmc_jax.study.signals import signals
 from qsmc_jax.verification.summary import Histogram
@@ -50,7 +52,31 @@ def plot_margin(result: Any, ax: Any = None) -> Any:
     return ax
 
 
+def _ratios(ax: Any, result: Any) -> None:
+    """The channels' largest |sigma|/rho: bands of the runs, and each channel of the worst one."""
+    study = result.study
+    ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
+    count, row = min(_BAND_RUNS, result.runs), result.worst.row(0)
+    drawn = signals(study, range(count), result.seed, ts=ts, settings=result.settings)
+    run = study.replay(row["index"], result.seed, settings=result.settings_of(row))
+    centre = run.edges[1] - run.rho  # the nominal one, at the worst run's times
+    centres = np.stack([np.interp(ts, run.ts, each) for each in centre.T], axis=1)
+    largest = np.abs((drawn.sigma - centres) / drawn.rho).max(axis=2)
+    alive = np.isfinite(largest).any(axis=0)
+    for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
+        quantiles = np.nanquantile(largest[:, alive], (low, high), axis=0)
+        label = f"largest, all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
+        ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
+    for i, z in enumerate(ratios(run).T):
+        label = f"channel {i} of the worst, run {row['index']}"
+        ax.plot(run.ts, z, color=SERIES[i % len(SERIES)], lw=1.0, label=label)
+    draw_unit_funnel(ax, _reaching_time(result), "nominal $t_r$")
+
+
 def _funnel(ax: Any, result: Any) -> None:
+    if len(result.study.nominal.loop.channels) > 1:
+        _ratios(ax, result)
+        return
     study, eps = result.study, float(result.study.bandwidth)
     ts = np.linspace(0.0, float(study.nominal.t1), _BAND_TIMES)
     count, row = min(_BAND_RUNS, result.runs), result.worst.row(0)
@@ -93,7 +119,7 @@ def _reach(ax: Any, histogram: Histogram, result: Any) -> None:
 
 
 def _reaching_time(result: Any) -> float:
-    return float(result.study.nominal.loop.control.funnel.reaching_time(result.study.bandwidth))
+    return reaching_time(result.study.nominal.loop, result.study.bandwidth)
 
 
 def _bars(ax: Any, histogram: Histogram) -> None:
