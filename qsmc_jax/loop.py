@@ -66,6 +66,11 @@ class ClosedLoop(AbstractModule):
 
     def __check_init__(self):
         require_fields(self)
+        require(
+            not isinstance(self.plant, AbstractStateSpace) or len(self.plant.relative_degrees) == 1,
+            f"Argument `plant` must have one input, but `{type(self.plant).__name__}` has several: make a "
+            "`qj.MultivariableLoop`.",
+        )
         order, has = self.plant.order, self.control.surface.order
         require(
             order == has,

@@ -258,7 +258,8 @@ class Metrics(AbstractModule):
         sampled = None if self.sampled is None else _only(self.sampled, names)
         wanted = {*names, *(column for name, column in BY_CHANNEL.items() if name in names)}
         channels = {column: value for column, value in self.channels.items() if without_index(column) in wanted}
-        return dataclasses.replace(_only(self, names), sampled=sampled, channels=channels)
+        made = eqx.tree_at(lambda each: each.sampled, _only(self, names), sampled, is_leaf=lambda leaf: leaf is None)
+        return eqx.tree_at(lambda each: each.channels, made, channels) if self.channels else made
 
 
 def _only(module: _M, names: Collection[str]) -> _M:

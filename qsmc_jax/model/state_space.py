@@ -217,8 +217,9 @@ def _require_state_space(plant: AbstractStateSpace) -> None:
     number, inputs = jax.ShapeDtypeStruct((), float), len(degrees)
     takes = f"a time and a state of {states} numbers x[0] ... x[{states - 1}]"
     state, calm = (number,) * states, jax.tree.map(lambda _: number, plant.calm)
+    given = "a disturbance" if inputs == 1 else f"{inputs} disturbances"
     calls: dict[str, tuple[Callable[..., Any], str, tuple[Any, ...]]] = {
-        "vector_field": (lambda plant, t, d, *x: plant.vector_field(t, x, d), f"{takes} and a disturbance", (calm,)),
+        "vector_field": (lambda plant, t, d, *x: plant.vector_field(t, x, d), f"{takes} and {given}", (calm,)),
         "input_matrix": (lambda plant, t, *x: plant.input_matrix(t, x), takes, ()),
         "output": (lambda plant, t, *x: plant.output(t, x), takes, ()),
     }

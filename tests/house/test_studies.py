@@ -21,6 +21,7 @@ LONG = {
     "ship": qj.Verdict.HELD,
     "quarter_car": qj.Verdict.HELD,
     "cart_pole": qj.Verdict.HELD,
+    "two_link_arm": qj.Verdict.HELD,
     "example1_implemented": qj.Verdict.HELD,
     "paper_example2": qj.Verdict.HELD,
     "example1_uncertain": qj.Verdict.HELD,

@@ -57,7 +57,8 @@ def test_single_metrics_can_be_asked_for_and_own_ones_come_with_the_standard_one
     made = [qj.Study(study.scenario, bandwidth=0.2, metrics=given) for given in ([own], ["claims", own], "standard")]
     assert [each.measured for each in made] == [("top",), ("top",), ()]
     assert set(made[0].standard) == set(made[2].standard) == set(qj.metrics.catalogue())
-    assert set(made[1].standard) == CLAIMS | {"coordinate_drift"}  # which loops of plants in their own coordinates have
+    # Of these only loops of plants in their own coordinates have the first, only those with several inputs the others.
+    assert set(made[1].standard) == CLAIMS | {"coordinate_drift", "peak_barrier", "barrier_bound"}
     rows = solved(qj.Study(study.scenario, bandwidth=0.2, metrics=["energy_u", "peak_error", own]))
     assert set(rows) == {"index", "mu", "gain_sign", "t1", "d", "g", "x0[0]"} | CLAIMS | {
         *("energy_u", "peak_error[0]", "top")

@@ -104,7 +104,7 @@ def hides(problem, s=0.0):
     s = jnp.asarray(s)
     step = Step(jnp.asarray(0.0), jnp.asarray(LENGTH), NODES)
     us = (jnp.abs(jnp.sinh(s)),) * 2
-    return float(hidden(problem, step, ((s,),) * 3, us, us, RTOL, 0.01)) * WORTH
+    return float(hidden(problem, step, ((s,),) * 3, [us], [us], RTOL, 0.01)) * WORTH
 
 
 def farthest(s0, gain, push):

@@ -253,3 +253,10 @@ def test_the_relative_degree_of_each_output_is_looked_at():
     loop = qj.MultivariableLoop(Late(), rest, calm, laws())
     with pytest.raises(InputError, match="for output 1"):
         qj.simulate(loop, [0.0, 0.0, 0.0], T1)
+
+
+@pytest.mark.parametrize("x0", [[4.5, 0.0], [0.0, -3.4]])
+def test_a_run_that_starts_outside_in_one_channel_is_not_begun(x0):
+    run = qj.simulate(pair(ROTATED(60.0)), x0, T1)
+    assert run.outcome == qj.Outcome.STARTED_OUTSIDE
+    assert {verdict.name for verdict in run.verdicts.values()} == {"INADMISSIBLE"}

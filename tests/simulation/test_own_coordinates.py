@@ -314,7 +314,10 @@ def started(plant, c, x0=(0.4, 0.2, 0.3)):
 BAD = {
     "too late": (lambda: started(Late, [1.0, 2.0]), "is 3, and it shows in derivative 2: say 2"),
     "too early": (lambda: started(Early, []), "in the first 1 it does not: say 2, or more"),
-    "two": (lambda: Two(), "must hold one number, such as (2,)"),
+    "two": (
+        lambda: Two(),
+        "`vector_field` of `Two` must take a time and a state of 3 numbers x[0] ... x[2] and 2 disturb",
+    ),
     "short": (lambda: Short(), "`input_matrix` of `Short` must return 3 numbers, one a state, but returns 2 of them"),
     "rough": (lambda: started(Rough, [1.0]), "`vector_field[2]` of `Rough` must be continuous in the state"),
     "driven": (lambda: started(Driven, [1.0]), "`vector_field[1]` of `Driven` must be continuous in the state"),

@@ -66,3 +66,38 @@ def test_a_cart_pole_is_what_scipy_makes_of_its_mass_matrix():
     peak = np.max(np.abs(3.0 * x[1] + x[3]) / (np.exp(-2.0 * ts) + 0.02))
     assert float(run.metrics.peak_ratio) == pytest.approx(peak, rel=1e-6)
     np.testing.assert_allclose(run.x[-1], x[:, -1], atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_two_link_arm_is_what_scipy_makes_of_its_inertia():
+    _, scenario, run = nominal("two_link_arm")
+    arm, pushes, asked = scenario.loop.plant, scenario.loop.disturbances, scenario.loop.references
+    m1, m2, l1, l2 = (float(getattr(arm, name)) for name in ("m1", "m2", "l1", "l2"))
+
+    def read(t, x):
+        wanted = [(0.5 * np.sin(t), 0.5 * np.cos(t)), (0.4 * np.cos(1.3 * t), -0.52 * np.sin(1.3 * t))]
+        sigma = [3.0 * (x[i] - q) + x[2 + i] - v for i, (q, v) in enumerate(wanted)]
+        return np.array(sigma) / [4.0 * np.exp(-2.0 * t) + 0.2, 6.0 * np.exp(-2.0 * t) + 0.3]
+
+    def rate(t, x):
+        z = read(t, x)
+        u = [-10.0 * math.tan(0.5 * math.pi * each) / rho for each, rho in zip(z, widths(t), strict=True)]
+        d = [float(p.amplitude) * math.sin(float(p.frequency) * t + float(p.phase)) for p in pushes]
+        (q1, q2), v = x[:2], x[2:]
+        bend = m2 * l1 * l2
+        inertia = np.array([[(m1 + m2) * l1**2 + m2 * l2**2 + 2 * bend * math.cos(q2), 0.0], [0.0, m2 * l2**2]])
+        inertia[0, 1] = inertia[1, 0] = m2 * l2**2 + bend * math.cos(q2)
+        coriolis = bend * math.sin(q2) * np.array([[-v[1], -(v[0] + v[1])], [v[0], 0.0]])
+        lower = m2 * 9.81 * l2 * math.cos(q1 + q2)
+        weight = [(m1 + m2) * 9.81 * l1 * math.cos(q1) + lower, lower]
+        return [*v, *np.linalg.solve(inertia, np.array(u) + d - coriolis @ v - weight)]
+
+    def widths(t):
+        return 4.0 * math.exp(-2.0 * t) + 0.2, 6.0 * math.exp(-2.0 * t) + 0.3
+
+    assert [float(each.frequencies[0]) for each in asked] == [1.0, 1.3]
+    ts, x = solved(rate, scenario)
+    peaks = np.abs(read(ts, x)).max(axis=1)
+    for i in range(2):
+        assert float(run.metrics.channels[f"peak_ratio[{i}]"]) == pytest.approx(peaks[i], rel=1e-6)
+    np.testing.assert_allclose(run.x[-1], x[:, -1], atol=1e-6)
