@@ -276,6 +276,18 @@ BY_CHANNEL = {
     **{name: name for name in ("verdict_reaching", "verdict_tracking", "peak_ratio", "margin", "peak_u", "max_u")},
     **{name: name for name in ("min_u", "reach_time", "violation_time", "settle_time", "rms_error", "least_gain")},
 }
+
+
+def columns_of_channels(channels: int) -> tuple[str, ...]:
+    """The metrics that there are for each of several channels, such as `peak_u[0]`; none if there is but one.
+
+    Args:
+        channels: How many there are.
+    """
+    names = [column for name, column in BY_CHANNEL.items() if not name.startswith("verdict")]
+    return tuple(f"{name}[{i}]" for name in names for i in range(channels)) if channels > 1 else ()
+
+
 # What a study asks for if it says nothing.
 USUAL = ("standard",)
 # The group "claims": what verdicts need, and what is said of them.

@@ -20,6 +20,7 @@ from qsmc_jax.campaign.columns import own_records
 from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
+from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study
 
@@ -78,7 +79,7 @@ def as_bytes(result: Any) -> bytes:
     return file.getvalue()
 
 
-def load(path: str | Path, of: Study | ClosedLoop | None = None) -> Any:
+def load(path: str | Path, of: Study | ClosedLoop | MultivariableLoop | None = None) -> Any:
     """Reads what `save` or the option `--out` of a command wrote.
 
     Args:
@@ -155,7 +156,7 @@ def _encoded(value: Any, arrays: list[np.ndarray], place: tuple[str | int, ...])
         return {"function": list(place)}
     is_known = dataclasses.is_dataclass(value)
     require(is_known, f"A `{type(value).__name__}` in a result can't be written: {show(value)}.")
-    place = () if isinstance(value, ClosedLoop) else place
+    place = () if isinstance(value, ClosedLoop | MultivariableLoop) else place
     fields = {f.name: _encoded(getattr(value, f.name), arrays, (*place, f.name)) for f in dataclasses.fields(value)}
     return {"class": _name(type(value)), "fields": fields}
 
@@ -187,7 +188,7 @@ class _Reader:
     """
 
     arrays: Mapping[str, np.ndarray]
-    of: Study | ClosedLoop | None
+    of: Study | ClosedLoop | MultivariableLoop | None
     own: list[type]
 
     def decoded(self, value: Any) -> Any:

@@ -161,11 +161,12 @@ class Trajectory(AbstractModule):
 
     def to_xarray(self) -> Any:
         """The signals as an `xarray.Dataset` over t [s], state, derivative, channel; needs the extra `notebook`."""
-        wide = {name: (("t", "derivative"), np.asarray(getattr(self, name))) for name in ("desired", "e")}
+        error = "derivative" if len(self.loop.channels) == 1 else "error"
+        wide = {name: (("t", error), np.asarray(getattr(self, name))) for name in ("desired", "e")}
         wide["x"] = ("t", self.loop.axis), np.asarray(self.x)
         axes = ("t", "channel")[: self.sigma.ndim]
         flat = {name: (axes, np.asarray(getattr(self, name))) for name in _OF_CHANNELS}
-        coordinates = {"t": ("t", np.asarray(self.ts), {"units": "s"}), "derivative": np.arange(self.loop.order)}
+        coordinates = {"t": ("t", np.asarray(self.ts), {"units": "s"}), error: np.arange(self.loop.order)}
         attributes = {"verdict": self.verdict.name, "bandwidth": np.asarray(self.bandwidth).tolist()}
         return as_dataset({**wide, **flat}, coordinates, attributes)
 

@@ -63,13 +63,14 @@ class SignalBatch:
 
     def to_xarray(self) -> Any:
         """The signals as an `xarray.Dataset` over run, t [s] and the derivative; needs the extra `notebook`."""
+        error = "derivative" if self.sigma.ndim == 2 else "error"  # of several channels, one after the other
         axes = {"x": self.axis}
-        wide = {name: (("run", "t", axes.get(name, "derivative")), getattr(self, name)) for name in _PER_DERIVATIVE}
+        wide = {name: (("run", "t", axes.get(name, error)), getattr(self, name)) for name in _PER_DERIVATIVE}
         flat = {name: (("run", "t", "channel")[: self.sigma.ndim], getattr(self, name)) for name in _SINGLE}
         coordinates = {
             "run": self.runs["index"],
             "t": ("t", self.ts, {"units": "s"}),
-            "derivative": np.arange(self.e.shape[-1]),
+            error: np.arange(self.e.shape[-1]),
         }
         return as_dataset({**wide, **flat}, coordinates, {})
 

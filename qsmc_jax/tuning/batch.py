@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.metrics.record import without_index
+from qsmc_jax.metrics.standard import columns_of_channels
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import LANE_MULTIPLE, block_size, thread_count
@@ -121,7 +122,8 @@ class Batch:
 
     def __post_init__(self):
         loop, own = self.study.nominal.loop, self.study.measured
-        known = (*(f"peak_error[{i}]" for i in range(loop.order)), *METRICS, *own)
+        by_channel = columns_of_channels(len(loop.channels))
+        known = (*(f"peak_error[{i}]" for i in range(loop.order)), *METRICS, *by_channel, *own)
         for metric in self.metrics:
             named, record = f"Argument `objective` names `{metric}`", self.study.record_of(metric)
             hint = nearest(metric, known)

@@ -174,7 +174,13 @@ def scenario(draw):
     return qj.Scenario(loop, x0=[start[0] * 4.2, start[1] * 3.3], t1=T1)
 
 
-STUDY = qj.Study(scenario, bandwidth=(0.5, 0.7))
+CALM = 30.0
+STUDY = qj.Study(
+    scenario,
+    bandwidth=(0.5, 0.7),
+    metrics=[qj.metrics.Peak("both", lambda s: jnp.abs(s.u[0]) + jnp.abs(s.u[1]))],
+    requirements={"calm": qj.always(lambda s: CALM - jnp.abs(s.u[0]))},
+)
 
 
 def test_no_run_passes_the_bound_of_lyapunov():
@@ -186,7 +192,14 @@ def test_no_run_passes_the_bound_of_lyapunov():
     assert (runs["peak_ratio"] == np.maximum(runs["peak_ratio[0]"], runs["peak_ratio[1]"])).all()
     assert (runs["margin"] == np.minimum(runs["margin[0]"], runs["margin[1]"])).all()
     assert runs.claims[:3] == ("funnel", "reaching", "tracking")
-    assert {"funnel[0]", "reaching[1]", "tracking[1]"} <= set(runs.claims)
+    assert {"funnel[0]", "reaching[1]", "tracking[1]", "calm"} <= set(runs.claims)
+    alone = runs["peak_u[0]"], runs["peak_u[1]"]
+    assert (runs["both"] <= (alone[0] + alone[1]) * (1.0 + 1e-4)).all()
+    assert (runs["both"] >= np.maximum(*alone) * (1.0 - 1e-4)).all()
+    np.testing.assert_allclose(runs["margin_calm"], CALM - alone[0], rtol=1e-3, atol=1e-3 * CALM)
+    sure = np.abs(alone[0] - CALM) > 1e-3 * CALM
+    assert (runs["verdict_calm"][sure] == np.where(alone[0] > CALM, qj.Verdict.VIOLATED, qj.Verdict.HELD)[sure]).all()
+    assert 0 < (alone[0] > CALM).sum() < len(runs)
 
 
 WITH_A_SURFACE = qj.QuasiSlidingControl(qj.SlidingSurface([1.0]), qj.Funnel(*FUNNELS[1]))
@@ -260,3 +273,25 @@ def test_a_run_that_starts_outside_in_one_channel_is_not_begun(x0):
     run = qj.simulate(pair(ROTATED(60.0)), x0, T1)
     assert run.outcome == qj.Outcome.STARTED_OUTSIDE
     assert {verdict.name for verdict in run.verdicts.values()} == {"INADMISSIBLE"}
+
+
+def test_what_is_told_of_several_channels_has_each(tmp_path):
+    loop = pair(ROTATED(60.0), 0.7)
+    run = qj.simulate(loop, [1.5, -0.8], T1)
+    assert "channel 1: HELD" in str(run)
+    assert "together: sup V" in str(run)
+    assert {"x[1]", "e[1]", "sigma[1]", "rho[0]", "u[1]", "d[0]"} <= set(run.columns())
+    dimensions = {name: each.dims for name, each in run.to_xarray().items()}
+    assert dimensions["u"] == ("t", "channel")
+    assert dimensions["e"] == ("t", "error")
+    qj.save(run, tmp_path / "run.npz")
+    again = qj.load(tmp_path / "run.npz", of=loop)
+    np.testing.assert_array_equal(again.sigma, run.sigma)
+    assert again.verdicts == run.verdicts
+    lines = [line.get_ydata() for line in run.plot_funnel().lines]
+    low, high = run.edges
+    for i in range(2):
+        np.testing.assert_allclose(lines[i], (2.0 * run.sigma[:, i] - low[:, i] - high[:, i]) / (high - low)[:, i])
+    assert len(run.plot()) == 4
+    with pytest.raises(InputError, match="order 2"):
+        run.plot_phase_plane()
