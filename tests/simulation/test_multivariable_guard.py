@@ -61,3 +61,19 @@ def test_an_instant_is_met(coupling, push):
     np.testing.assert_allclose(run.x[1], after, rtol=1e-4)
     np.testing.assert_allclose(run.x[2], x, rtol=1e-4)
     assert np.abs(after).max() > 0.1  # it was struck
+
+
+def test_a_channel_sees_the_others_inputs_as_its_load():
+    funnels = qj.Funnel(*FUNNEL), qj.Funnel(3.0, 1.0, 0.3)
+    laws = tuple(qj.QuasiSlidingControl(qj.SlidingSurface([]), funnel, is_scaled=True) for funnel in funnels)
+    rest, loads = (qj.references.SumOfSines([0.5], [2.0]),) * 2, tuple(map(qj.disturbances.Constant, (0.6, 0.9)))
+    loop = qj.MultivariableLoop(Struck(1500.0, 0.0), rest, loads, laws)
+    t, x, s = AT, (0.2, -0.3), (0.4, -0.7)
+    u = [-np.sinh(each) / float(funnel(t)) for each, funnel in zip(s, funnels, strict=True)]
+    slope = np.cos(2.0 * t)
+    expected = 0.6 + 1500.0 * u[1] - slope, 0.9 - 0.5 * x[0] + 0.2 * u[0] - slope
+    for channel, load in zip(loop.channels, expected, strict=True):
+        errors = channel.errors(t, (*x, *s))
+        balance = channel.balance(t, (*x, *s), errors, channel.desired(t))
+        assert float(balance.residual) == pytest.approx(load, rel=1e-12)
+        assert float(balance.gain) == 1.0
