@@ -221,6 +221,7 @@ class Metrics(AbstractModule):
         meaning="With several inputs sup (1/pi) sum ln(1 + tan^2(pi z_i/2)) over the channels, z = sigma/rho",
         unit="-",
         label="sup V",
+        loops="several",
         worse="high",
         has_gradient=True,
         default=None,
@@ -230,6 +231,7 @@ class Metrics(AbstractModule):
         "it peaks; a higher peak is a defect of the simulator; inf if the decoupling matrix is not definite there",
         unit="-",
         label="bound on sup V",
+        loops="several",
         default=None,
     )
     sampled: SampledMetrics | None = None

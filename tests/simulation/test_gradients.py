@@ -55,7 +55,8 @@ CASES = [
 def test_gradients_are_central_differences_and_the_same_in_both_modes(number, is_sampled):
     study = qj.Study(ft.partial(example, number, is_sampled), bandwidth=0.1)
     metrics = tuple(m for m in METRICS if is_sampled or m not in IMPLEMENTED) + ("peak_error[0]", "peak_error[1]")
-    metrics = tuple(m for m in metrics if m != "recovery_time")  # 0 throughout
+    # The one is 0 throughout, the other is of several inputs.
+    metrics = tuple(m for m in metrics if m not in ("recovery_time", "peak_barrier"))
     settings = qj.SolverSettings(TIGHT, method="tsit5")
     made = {
         mode: differentiate(
