@@ -1,6 +1,8 @@
 """What a campaign is, and that nothing else gets in: files that the study reads, folders that are made, alien files."""
 
 import errno
+import hashlib
+import itertools as it
 import json
 import multiprocessing
 import os
@@ -11,6 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
@@ -231,9 +234,20 @@ def replaced(folder, runs):
 
 
 def added(folder, runs):
-    """Beside ours, under names that come first whatever the blocks hold: of two with one range the first is read."""
-    for file in block_files(runs[1] / "blocks"):
-        shutil.copy(file.path, folder / "blocks" / f"{file.path.stem[:25]}-{0:016d}.parquet")
+    """Beside ours, under names that come first: of two blocks with one range the first is read."""
+    for ours, other in zip(block_files(folder / "blocks"), block_files(runs[1] / "blocks"), strict=True):
+        for name, content in map(rewritten, it.repeat(other), it.count()):
+            if name < ours.path.name:
+                (folder / "blocks" / name).write_bytes(content)
+                break
+
+
+def rewritten(file, mark):
+    """A block with the same rows under another name, by the hash of what is in the file."""
+    table, sink = pq.read_table(file.path), pa.BufferOutputStream()
+    pq.write_table(table.replace_schema_metadata({**table.schema.metadata, b"mark": str(mark).encode()}), sink)
+    content = sink.getvalue().to_pybytes()
+    return f"{file.path.name[:26]}{hashlib.sha256(content).hexdigest()[:16]}.parquet", content
 
 
 @pytest.mark.slow
@@ -244,8 +258,7 @@ def test_blocks_of_others_are_named_and_never_counted(folder, runs, spoil):
     assert "passed over" in exported.output
     done = continued(folder)
     assert done.exit_code == 0, done.output
-    faults = "is of another campaign", "not those of its name", "is damaged"
-    assert any(fault in plain_text(done.output) for fault in faults)
+    assert "is of another campaign" in plain_text(done.output) or "not those of its name" in plain_text(done.output)
     assert repr(rows_of(folder)) == repr(rows_of(runs[0]))  # to the last bit, where NaN is NaN
 
 
