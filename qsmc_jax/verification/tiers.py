@@ -43,7 +43,7 @@ class Tiers:
         # A method of its own for the ideal loop: neither of those that the tiers below have, whichever it was.
         third = firmer(second) if is_sampled else second.replace(method="rodas4")
         if len(study.nominal.loop.channels) > 1:  # several inputs are stiff, and dear to an explicit method
-            second, third = third, second
+            second, third = third.replace(method="rodas5p" if settings.method == "rodas4" else "rodas4"), second
         return cls((settings, firmer(settings), second, third), is_sampled)
 
     def options(self, tier: int) -> dict[str, Any]:

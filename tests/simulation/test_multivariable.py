@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 import qsmc_jax as qj
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import float_field
+from qsmc_jax.verification.tiers import Tiers
 
 T1, WAVES = 4.0, ((0.5, 2.0), (0.8, 1.1))
 FUNNELS = (4.0, 1.5, 0.2), (3.0, 1.0, 0.3)
@@ -200,6 +201,14 @@ def test_no_run_passes_the_bound_of_lyapunov():
     sure = np.abs(alone[0] - CALM) > 1e-3 * CALM
     assert (runs["verdict_calm"][sure] == np.where(alone[0] > CALM, qj.Verdict.VIOLATED, qj.Verdict.HELD)[sure]).all()
     assert 0 < (alone[0] > CALM).sum() < len(runs)
+
+
+@pytest.mark.parametrize("method", ["auto", "tsit5", "rodas4", "rodas5p"])
+def test_no_method_decides_twice(method):
+    first, firmer, second, third = (each.method for each in Tiers.of(STUDY, qj.SolverSettings(method=method)).settings)
+    assert first == firmer == method
+    assert second not in (method, *(("tsit5", "rodas5p") if method == "auto" else ()))
+    assert third != second
 
 
 WITH_A_SURFACE = qj.QuasiSlidingControl(qj.SlidingSurface([1.0]), qj.Funnel(*FUNNELS[1]))
