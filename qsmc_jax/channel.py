@@ -40,11 +40,6 @@ class Channel(AbstractOwnCoordinates):
     def break_times(self) -> Float[Array, " breaks"]:
         return self.plant.break_times
 
-    @property
-    def others(self) -> tuple[int, ...]:
-        """The other channels."""
-        return tuple(j for j in range(len(self.laws)) if j != self.index)
-
     def disturbed(self, t: RealScalarLike) -> Scalars:
         """The values of the disturbances, m scalars.
 
@@ -64,14 +59,11 @@ class Channel(AbstractOwnCoordinates):
         return tuple(law.at(s, t) for law, s in zip(self.laws, coordinates, strict=True))
 
     def vector_field(self, t: RealScalarLike, x: State, d: Scalars) -> Scalars:
-        own, inputs, rates = self._own(x), self.inputs(t, x), self.free(t, x, d)
-        for j in self.others:
-            column = self._widened(self.plant.column(t, own, j))
-            rates = tuple(rate + each * inputs[j] for rate, each in zip(rates, column, strict=True))
-        return rates
-
-    def free(self, t: RealScalarLike, x: State, d: Scalars) -> Scalars:
-        return self._widened(self.plant.free(t, self._own(x), d))
+        own, rates = self._own(x), tuple(self.plant.vector_field(t, self._own(x), d))
+        for j, u in enumerate(self.inputs(t, x)):
+            if j != self.index:
+                rates = tuple(a + b * u for a, b in zip(rates, self.plant.column(t, own, j), strict=True))
+        return self._widened(rates)
 
     def input_matrix(self, t: RealScalarLike, x: State) -> Scalars:
         return self._widened(self.plant.column(t, self._own(x), self.index))
@@ -86,9 +78,6 @@ class Channel(AbstractOwnCoordinates):
 
     def gains(self, t: RealScalarLike, x: State) -> Scalars:
         return self.plant.gains(t, self._own(x), self.index, self.index)
-
-    def couplings(self, t: RealScalarLike, x: State) -> tuple[Scalars, ...]:
-        return tuple(self.plant.gains(t, self._own(x), self.index, j) for j in self.others)
 
     def _own(self, x: State) -> Scalars:
         return tuple(x[: self.plant.states])

@@ -28,8 +28,8 @@ class MultivariableLoop(AbstractModule):
     $B \operatorname{diag}(\operatorname{sgn}_i K_i)$ has a positive definite symmetric part, with the least eigenvalue
     $\lambda$, every $|z_i|$ stays below 1: $V = \frac{1}{\pi} \sum \ln(1 + \tan^2(\pi z_i / 2))$ falls wherever $v_i =
     \tan(\pi z_i / 2) / \rho_i$ has $|v| > (|w| + |\dot\rho|) / \lambda$. Each run is held against that bound
-    (`peak_barrier` and `barrier_bound`). Laws that are not scaled have that proof if all funnels are as wide, and
-    Theorem 1 each if B is diagonal.
+    (`peak_barrier` and `barrier_bound`). Laws that are not scaled have that proof with K rho in the place of
+    K, so if all funnels are as wide; and Theorem 1 each if B is diagonal.
 
     Attributes:
         plant: The plant, with m relative degrees.
@@ -79,8 +79,7 @@ class MultivariableLoop(AbstractModule):
             require(is_tuple, f"Argument `{name}` must be a tuple with one for each of the {m} inputs, but is {found}.")
             for i, each in enumerate(given):
                 require_kind(f"{name}[{i}]", each, kind, kind.hint)
-        for loop in self.channels:  # each checks itself
-            require_kind("channels", loop, ClosedLoop, ClosedLoop.hint)
+        _ = self.channels  # each checks its surface and its reference
 
     @property
     def implementation(self) -> None:
@@ -138,14 +137,6 @@ class MultivariableLoop(AbstractModule):
         funnels = [control.funnel for control in self.controls]
         return [as_times(part.break_times) for part in (self.plant, *self.references, *self.disturbances, *funnels)]
 
-    def desired(self, t: RealScalarLike) -> tuple[Scalars, ...]:
-        """For each channel the desired output and its first r derivatives at time t [s].
-
-        Args:
-            t: Time [s].
-        """
-        return tuple(channel.desired(t) for channel in self.channels)
-
     def decoupling(self, t: RealScalarLike, x: State) -> tuple[Scalars, ...]:
         """The rows of the decoupling matrix B: what a unit of each input adds to each sliding variable's rate.
 
@@ -163,25 +154,23 @@ class MultivariableLoop(AbstractModule):
             t: Time [s].
             x: State, N scalars.
         """
-        pushes = []
-        for channel in self.channels:
-            own, d = channel.plant, channel.disturbed(t)
-            assert isinstance(own, Channel)
-            _, rates = channel.errors_in_motion(t, x, own.free(t, x, d))
-            pushes.append(channel.control.surface(rates))
+        free, pushes = self.plant.vector_field(t, x, tuple(each(t) for each in self.disturbances)), []
+        for i, (law, reference) in enumerate(zip(self.controls, self.references, strict=True)):
+            _, moving = self.plant.outputs_in_motion(t, x, free, 1.0, i)
+            desired = reference.derivatives(t, self.plant.relative_degrees[i])
+            pushes.append(law.surface(tuple(a - b for a, b in zip(moving, desired[1:], strict=True))))
         return tuple(pushes), self.decoupling(t, x)
 
-    def definiteness(self, t: RealScalarLike, x: State) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The least and the greatest eigenvalue of the symmetric part of B with the laws' signs and gains.
+    def acting(self, t: RealScalarLike, rows: tuple[Scalars, ...]) -> Float[Array, "m m"]:
+        r"""The symmetric part of $B S$, where the laws are $u = u_0 - S v$ with $v_i = \tan(\pi z_i / 2) / \rho_i$.
 
         Args:
             t: Time [s].
-            x: State, N scalars.
+            rows: The rows of B.
         """
-        strengths = jnp.stack([jnp.asarray(law.gain_sign * law.gain) for law in self.controls])
-        scaled = jnp.stack([jnp.stack(row) for row in self.decoupling(t, x)]) * strengths[None, :]
-        found = jnp.linalg.eigvalsh(0.5 * (scaled + scaled.T))
-        return found[0], found[-1]
+        strengths = [jnp.asarray(law.gain_sign * law.gain_at(t) * law.funnel(t)) for law in self.controls]
+        scaled = jnp.stack([jnp.stack(row) for row in rows]) * jnp.stack(strengths)[None, :]
+        return 0.5 * (scaled + scaled.T)
 
 
 def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> None:
@@ -196,17 +185,17 @@ def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> 
     """
     if is_traced(loop, x0):
         return
-    matrix, least, greatest = _definiteness(loop, x0)
+    matrix, values = _definiteness(loop, x0)
     require(
-        float(least) > 0.0 or float(greatest) < 0.0,
+        bool(values[0] > 0.0 or values[-1] < 0.0),
         f"The decoupling matrix of `{type(loop.plant).__name__}` must have a definite symmetric part at the start, but "
-        f"with the laws' signs and gains it has eigenvalues {float(least):.4g} ... {float(greatest):.4g}: "
+        f"with the laws' signs and gains it has eigenvalues {values[0]:.4g} ... {values[-1]:.4g}: "
         f"{np.asarray(matrix).round(6).tolist()}. Pair each output with the input that drives it most, or change a "
         "`gain_sign`.",
     )
 
 
 @entry_point
-def _definiteness(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> tuple[Any, Array, Array]:
-    x, t = tuple(x0[i] for i in range(loop.states)), jnp.zeros(())
-    return loop.decoupling(t, x), *loop.definiteness(t, x)
+def _definiteness(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> tuple[Any, Array]:
+    rows = loop.decoupling(jnp.zeros(()), tuple(x0[i] for i in range(loop.states)))
+    return rows, jnp.linalg.eigvalsh(loop.acting(jnp.zeros(()), rows))

@@ -81,7 +81,7 @@ class CampaignConfig:
             "contents": dict(study.contents),
             "parameters": parameters,
             "values": {name: value.tolist() for name, value in study.values.items()},
-            "bandwidth": np.asarray(study.bandwidth, float).tolist(),
+            "bandwidth": study.bandwidth,
             "seed": self.seed,
             "rtol": float(settings.rtol),
             "atol": float(settings.atol),

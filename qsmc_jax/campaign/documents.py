@@ -23,7 +23,14 @@ MANIFEST = {
 IDENTITY = {"study_code": str, "contents": dict, "values": dict, "seed": int, "rtol": Number, "atol": Number}
 REQUEST = {"runs": int, "is_anytime": bool}
 SESSION = {"began": str, "updated": str, "state": str, "runs": int, "steps": int, "paid": int, "seconds": Number}
-SUMMARY = {"verdict": str, "runs": int, "seed": int, "confidence": Number, "bandwidth": (*Number, list), "values": dict}
+SUMMARY = {
+    "verdict": str,
+    "runs": int,
+    "seed": int,
+    "confidence": Number,
+    "bandwidth": (*Number, list),
+    "values": dict,
+}
 SUMMARY |= {"conclusion": str, "interval": str, "claims": list, "worst": list, "numerical_error": dict, "firmer": dict}
 SUMMARY |= {"escalated": list, "defects": list, "steps": int, "occupancy": Number, "solve_seconds": Number}
 SUMMARY |= {"provenance": dict}

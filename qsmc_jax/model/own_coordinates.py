@@ -27,10 +27,6 @@ class AbstractOwnCoordinates(AbstractModule):
         """The states' rates without the input, which in a channel the other inputs are part of."""
 
     @abc.abstractmethod
-    def free(self, t: RealScalarLike, x: State, d: Any) -> Scalars:
-        """The states' rates without any input."""
-
-    @abc.abstractmethod
     def input_matrix(self, t: RealScalarLike, x: State) -> Scalars:
         """What a unit of the input adds to each rate."""
 
@@ -47,7 +43,3 @@ class AbstractOwnCoordinates(AbstractModule):
     @abc.abstractmethod
     def gains(self, t: RealScalarLike, x: State) -> Scalars:
         """What a unit of the input adds to the rates of `outputs`, r scalars."""
-
-    @abc.abstractmethod
-    def couplings(self, t: RealScalarLike, x: State) -> tuple[Scalars, ...]:
-        """The same of each other input that there is, in their order."""

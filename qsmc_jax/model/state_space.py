@@ -125,16 +125,6 @@ class AbstractStateSpace(AbstractOwnCoordinates):
         rows = self.input_matrix(t, x)
         return tuple(rows) if len(self.relative_degrees) == 1 else tuple(row[channel] for row in rows)
 
-    def free(self, t: RealScalarLike, x: State, d: Any) -> Scalars:
-        """The states' rates without any input: `vector_field`.
-
-        Args:
-            t: Time [s].
-            x: State, a tuple of N scalars.
-            d: Value of the loop's disturbance.
-        """
-        return self.vector_field(t, x, d)
-
     def outputs(self, t: RealScalarLike, x: State, channel: int = 0) -> Scalars:
         """The output and its derivatives along f without disturbance, r scalars.
 
@@ -176,15 +166,6 @@ class AbstractStateSpace(AbstractOwnCoordinates):
             by: Index of the input.
         """
         return self.outputs_in_motion(t, x, self.column(t, x, by), 0.0, channel)[1]
-
-    def couplings(self, t: RealScalarLike, x: State) -> tuple[Scalars, ...]:
-        """What other inputs add: there are none.
-
-        Args:
-            t: Time [s].
-            x: State, a tuple of N scalars.
-        """
-        return ()
 
     def _along(self, function: _Output) -> _Output:
         """The derivative of a function of time and state along f without disturbance."""

@@ -158,7 +158,7 @@ class CriticalValue(AbstractResult):
             "looks": list(self.looks),
             "seed": self.seed,
             "between": list(self.between),
-            "bandwidth": np.asarray(self.study.bandwidth, float).tolist(),
+            "bandwidth": self.study.bandwidth,
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "runs": self.runs,
             "tests": [test.summary() for test in self.tests],

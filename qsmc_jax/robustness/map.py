@@ -109,7 +109,7 @@ class RobustnessMap(AbstractResult):
             "seed": self.seed,
             "confidence": self.confidence,
             "claim": self.claim,
-            "bandwidth": np.asarray(self.study.bandwidth, float).tolist(),
+            "bandwidth": self.study.bandwidth,
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": {name: _lists(vars(claim)) for name, claim in self.claims.items()},
             "medians": _lists(self.medians),

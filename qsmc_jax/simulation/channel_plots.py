@@ -7,12 +7,16 @@ import numpy as np
 
 from qsmc_jax.display.plotting import GREY, ORANGE, RED, SERIES, one_axes, panels
 
+# How the runs are drawn: the first, and all others.
+_FIRST, _OTHERS = "-", "--"
 
-def plot_channels(runs: Sequence[Any], ax: Any = None) -> Any:
+
+def plot_channels(runs: Sequence[Any], labels: Sequence[str], ax: Any = None) -> Any:
     """Outputs with references, errors, inputs, and sigma/rho of all channels, of one or several runs of one loop.
 
     Args:
         runs: Trajectories; those after the first are dashed.
+        labels: One label a run, empty for none.
         ax: Four matplotlib `Axes` to draw in, in reading order; None for a new figure.
 
     Returns:
@@ -21,9 +25,10 @@ def plot_channels(runs: Sequence[Any], ax: Any = None) -> Any:
     axes = panels(ax, 4, 2, (11.0, 7.0))
     outputs, errors, inputs, funnel = axes
     firsts = first_errors(runs[0].loop)
-    for run, style in zip(runs, ["-", *["--"] * (len(runs) - 1)], strict=True):
+    for run, name in zip(runs, labels, strict=True):
+        style = _style(run, runs)
         for i, first in enumerate(firsts):
-            colour, label = SERIES[i % len(SERIES)], f"channel {i}" if run is runs[0] else None
+            colour, label = SERIES[i % len(SERIES)], _named(name, run, runs, i)
             outputs.plot(run.ts, run.e[:, first] + run.desired[:, first], style, color=colour, label=label)
             errors.plot(run.ts, run.e[:, first], style, color=colour)
             inputs.plot(run.ts, run.u[:, i], style, color=colour)
@@ -34,7 +39,7 @@ def plot_channels(runs: Sequence[Any], ax: Any = None) -> Any:
     outputs.legend(loc="best", fontsize=8)
     errors.set(title="Tracking errors", xlabel="t [s]", ylabel="$e$")
     inputs.set(title="Inputs", xlabel="t [s]", ylabel="u")
-    _ratios(funnel, runs)
+    _ratios(funnel, runs, labels)
     return axes
 
 
@@ -49,7 +54,7 @@ def plot_ratios(run: Any, ax: Any = None) -> Any:
         The axes.
     """
     ax = one_axes(ax, (6.0, 3.6))
-    _ratios(ax, [run])
+    _ratios(ax, [run], [""])
     return ax
 
 
@@ -73,11 +78,20 @@ def first_errors(loop: Any) -> list[int]:
     return [sum(orders[:i]) for i in range(len(orders))]
 
 
-def _ratios(ax: Any, runs: Sequence[Any]) -> None:
-    for run, style in zip(runs, ["-", *["--"] * (len(runs) - 1)], strict=True):
+def _style(run: Any, runs: Sequence[Any]) -> str:
+    return _FIRST if run is runs[0] else _OTHERS
+
+
+def _named(name: str, run: Any, runs: Sequence[Any], channel: int) -> str | None:
+    """What a line is called; runs that have no name are told by the first."""
+    return f"channel {channel}{f', {name}' if name else ''}" if name or run is runs[0] else None
+
+
+def _ratios(ax: Any, runs: Sequence[Any], labels: Sequence[str]) -> None:
+    for run, name in zip(runs, labels, strict=True):
         for i, row in enumerate(ratios(run).T):
-            label = f"channel {i}" if run is runs[0] else None
-            ax.plot(run.ts, row, style, color=SERIES[i % len(SERIES)], label=label)
+            label = _named(name, run, runs, i)
+            ax.plot(run.ts, row, _style(run, runs), color=SERIES[i % len(SERIES)], label=label)
     draw_unit_funnel(ax, runs[0].reaching_time)
 
 

@@ -68,10 +68,9 @@ def pose(
     if isinstance(loop, ClosedLoop):
         coordinates = named_coordinates(settings.coordinates, loop)
         return _posed(loop, x0, bandwidth, coordinates, barrier, *kept, measures)
-    widths = jnp.broadcast_to(jnp.asarray(bandwidth), (len(loop.controls),))
     channels = tuple(
         _posed(each, x0, width, ChannelCoordinates(), barrier, *kept)
-        for each, width in zip(loop.channels, widths, strict=True)
+        for each, width in zip(loop.channels, loop.widths(bandwidth), strict=True)
     )
     return JointProblem(loop, channels, barrier, settings.rtol, measures)
 

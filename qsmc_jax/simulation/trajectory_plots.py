@@ -21,11 +21,11 @@ def plot_trajectory(*runs: Any, labels: tuple[str, ...] | None = None, ax: Any =
     Returns:
         The axes, (4,): output, errors, input, sliding variable.
     """
+    names = labels or ("",) * len(runs)
     if len(runs[0].loop.channels) > 1:
-        return plot_channels(runs, ax)
+        return plot_channels(runs, names, ax)
     axes = panels(ax, 4, 2, (11.0, 7.0))
     outputs, errors, inputs, funnel = axes
-    names = labels or ("",) * len(runs)
     for run, colour, label in zip(runs, _colours(len(runs)), names, strict=True):
         _output(outputs, run, colour, label)
         _input(inputs, run, colour)

@@ -123,10 +123,11 @@ class Study:
     def __str__(self) -> str:
         fixed = f"; fixed: {', '.join(self.values)}" if self.values else ""
         names = ", ".join(spec.name for spec in self.specs) or "no names"
-        return f"{names}; bandwidth {show(np.asarray(self.bandwidth, float))}{fixed}"
+        return f"{names}; bandwidth {show(as_float64(self.bandwidth))}{fixed}"
 
     def __post_init__(self):
         require(callable(self.scenario), f"Argument `scenario` must be a function of `draw`, but is {self.scenario!r}.")
+        object.__setattr__(self, "bandwidth", _plain(self.bandwidth))
         object.__setattr__(self, "specs", discover(ft.partial(_scenario_of, self.scenario))[0])
         object.__setattr__(self, "metrics", _metrics(self.metrics))
         object.__setattr__(self, "requirements", _requirements(self.requirements))
@@ -326,6 +327,16 @@ class Study:
     @property
     def _median(self) -> np.ndarray:
         return np.full(self.dimension, 0.5)
+
+
+def _plain(bandwidth: Any) -> float | tuple[float, ...]:
+    """A bandwidth as a plain number, or several, as files have it."""
+    numbers = as_float64(bandwidth)
+    require(
+        bandwidth is not None and np.ndim(numbers) <= 1,
+        f"Argument `bandwidth` must be one number, or one for each channel, but is {bandwidth!r}.",
+    )
+    return float(numbers) if np.ndim(numbers) == 0 else tuple(np.asarray(numbers).tolist())
 
 
 def require_study(study: Any, name: str = "study") -> None:

@@ -155,7 +155,7 @@ class Verification(AbstractResult):
             "confidence": self.confidence,
             "interval": "confidence sequence" if self.is_anytime else "Clopper-Pearson",
             "decision": self.decision,
-            "bandwidth": np.asarray(self.study.bandwidth, float).tolist(),
+            "bandwidth": self.study.bandwidth,
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": [_summary(claim) for claim in self.claims],
             "together": _summary(self.together),
@@ -262,7 +262,7 @@ class Verification(AbstractResult):
         return runs_needed(probability, self.confidence)
 
     def __str__(self) -> str:
-        rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {show(np.asarray(self.study.bandwidth, float))}"]
+        rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {show(np.float64(self.study.bandwidth))}"]
         shown = (*self.claims, self.together) if self.study.requirements else self.claims
         width = max(10, *(len(claim.name) + 1 for claim in shown))
         rows.append(f"{'claim':{width}}{HEADING}   violation probability")

@@ -52,6 +52,15 @@ def plot_margin(result: Any, ax: Any = None) -> Any:
     return ax
 
 
+def _bands(ax: Any, ts: np.ndarray, values: np.ndarray, what: str = "") -> None:
+    """Where most runs are at each time, given a row of values for each."""
+    alive = np.isfinite(values).any(axis=0)
+    for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
+        quantiles = np.nanquantile(values[:, alive], (low, high), axis=0)
+        label = f"{what}all of {len(values)} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
+        ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
+
+
 def _ratios(ax: Any, result: Any) -> None:
     """The channels' largest |sigma|/rho: bands of the runs, and each channel of the worst one."""
     study = result.study
@@ -62,11 +71,7 @@ def _ratios(ax: Any, result: Any) -> None:
     centre = run.edges[1] - run.rho  # the nominal one, at the worst run's times
     centres = np.stack([np.interp(ts, run.ts, each) for each in centre.T], axis=1)
     largest = np.abs((drawn.sigma - centres) / drawn.rho).max(axis=2)
-    alive = np.isfinite(largest).any(axis=0)
-    for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
-        quantiles = np.nanquantile(largest[:, alive], (low, high), axis=0)
-        label = f"largest, all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
-        ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
+    _bands(ax, ts, largest, "largest, ")
     for i, z in enumerate(ratios(run).T):
         label = f"channel {i} of the worst, run {row['index']}"
         ax.plot(run.ts, z, color=SERIES[i % len(SERIES)], lw=1.0, label=label)
@@ -88,11 +93,7 @@ def _funnel(ax: Any, result: Any) -> None:
     if row["tier"] > 0 or row["end_time"] > ts[-1] or not is_centred(funnel):
         run = study.replay(row["index"], result.seed, settings=result.settings_of(row))
         worst = run.ts, run.sigma, run.edges
-    alive = np.isfinite(sigma).any(axis=0)
-    for (low, high), alpha in zip(_BANDS, (0.2, 0.35, 0.5), strict=True):
-        quantiles = np.nanquantile(sigma[:, alive], (low, high), axis=0)
-        label = f"all of {count} runs" if high == 1.0 else f"{100 * low:g} to {100 * high:g} %"
-        ax.fill_between(ts[alive], *quantiles, color=SKY, alpha=alpha, lw=0.0, label=label)
+    _bands(ax, ts, sigma)
     draw_edges(ax, worst[0], worst[2], funnel, eps)
     ax.plot(*worst[:2], color=BLUE, lw=1.0, label=f"worst, run {row['index']}")
     t_r = _reaching_time(result)

@@ -51,16 +51,14 @@ def barrier_bound(problem: JointProblem, running: RunningBarrier) -> Float[Array
     """What V can be at its peak; `inf` where the inputs' symmetric part is not positive definite there."""
     loop, t = problem.loop, running.time
     free, rows = loop.drive(t, running.y[: loop.states])
-    matrix, pushes, widths, strengths, offsets = jnp.stack([jnp.stack(row) for row in rows]), [], [], [], []
+    pushes, widths, offsets = [], [], []
     for law, w, s in zip(loop.controls, free, _coordinates(problem, running.y), strict=True):
         rho, rho_rate = law.funnel.width_and_rate(t)
         pushes.append(w - law.funnel.centre_and_rate(t)[1] - rho_rate * ratio(s))
         widths.append(jnp.asarray(rho))
-        strengths.append(jnp.asarray(law.gain_sign * law.gain_at(t) * rho))
         offsets.append(jnp.asarray(law.offset))
-    push = jnp.stack(pushes) + matrix @ jnp.stack(offsets)
-    acting = matrix * jnp.stack(strengths)[None, :]
-    least = jnp.linalg.eigvalsh(0.5 * (acting + acting.T))[0]
+    push = jnp.stack(pushes) + jnp.stack([jnp.stack(row) for row in rows]) @ jnp.stack(offsets)
+    least = jnp.linalg.eigvalsh(loop.acting(t, rows))[0]
     largest = jnp.linalg.norm(push) / jnp.where(least > 0.0, least, 1.0)
     at_peak = jnp.where(least > 0.0, _most(largest, jnp.stack(widths)), jnp.inf)
     return jnp.maximum(running.first, at_peak)
