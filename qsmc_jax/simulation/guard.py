@@ -86,14 +86,12 @@ def hidden(
     problem, (t0, t1), ys, sinhs, us = pytrees.stop_gradient((problem, (step.t0, step.t1), ys, sinhs, us))
     step, channels = Step(t0, t1, step.nodes), problem.channels
     at, largest = _path(channels[0], step, ys), [jnp.maximum(*each) for each in us]
-    hiding = _once(
-        problem.barrier, _hiding([each.loop for each in channels], step, at, largest, least, problem.barrier)
-    )
-    found = [_hidden_in(each.loop, step, at, hiding, i, sinhs[i], largest[i]) for i, each in enumerate(channels)]
-    known = [(moves / _worth(rtol), growth) for moves, growth in found if not is_nothing(moves)]
-    known += [] if is_nothing(hiding.in_states) else [(_or_all(hiding.in_states) / _worth(rtol), 0.0)]
-    growths = [growth for _, growth in found]
-    return ft.reduce(jnp.maximum, [*growths, *(moves for moves, _ in known)])
+    loops, barrier = [each.loop for each in channels], problem.barrier
+    hiding = _once(barrier, _hiding(loops, step, at, largest, least, barrier))
+    found = [_hidden_in(loop, step, at, hiding, i, sinhs[i], largest[i]) for i, loop in enumerate(loops)]
+    moves = [each for each, _ in found] + ([] if is_nothing(hiding.in_states) else [_or_all(hiding.in_states)])
+    in_tolerances = [each / _worth(rtol) for each in moves if not is_nothing(each)]
+    return ft.reduce(jnp.maximum, [*(growth for _, growth in found), *in_tolerances])
 
 
 def _once(barrier: Barrier, hiding: Hiding) -> Hiding:

@@ -10,8 +10,10 @@ import scipy.integrate
 from jaxtyping import Array, Float
 
 import qsmc_jax as qj
+from own_plants import Scalar
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import float_field
+from qsmc_jax.simulation.trajectory_plots import plot_trajectory
 from qsmc_jax.verification.tiers import Tiers
 
 T1, WAVES = 4.0, ((0.5, 2.0), (0.8, 1.1))
@@ -44,26 +46,6 @@ class Pair(qj.AbstractStateSpace):
     def output(self, t, x):
         """Both states."""
         return x[0], x[1]
-
-
-class One(qj.AbstractStateSpace):
-    """One of them alone."""
-
-    gain: Float[Array, ""] = float_field(default=1.0)
-
-    states, relative_degrees = 1, (1,)
-
-    def vector_field(self, t, x, d):
-        """The disturbance."""
-        return (d,)
-
-    def input_matrix(self, t, x):
-        """The gain."""
-        return (self.gain,)
-
-    def output(self, t, x):
-        """The state."""
-        return x[0]
 
 
 def laws(funnels=FUNNELS, **options):
@@ -129,7 +111,7 @@ def test_channels_that_do_not_touch_are_scalar_runs():
     run = qj.simulate(loop, x0, T1, settings=tight, bandwidth=(0.5, 0.7))
     for i, (gain, width) in enumerate(((2.0, 0.5), (0.7, 0.7))):
         parts = loop.references[i], loop.disturbances[i], loop.controls[i]
-        alone = qj.simulate(qj.ClosedLoop(One(gain), *parts), x0[i : i + 1], T1, settings=tight, bandwidth=width)
+        alone = qj.simulate(qj.ClosedLoop(Scalar(gain), *parts), x0[i : i + 1], T1, settings=tight, bandwidth=width)
         # The steps are others: what is read off an interpolant of u differs by its error.
         known = dict.fromkeys(("peak_ratio", "margin", "reach_time", "rms_error", "least_gain"), 1e-9)
         for name, rel in {**known, "max_u": 1e-7, "min_u": 1e-7}.items():
@@ -216,7 +198,7 @@ WRONG = {
     "definite": (lambda: qj.simulate(pair([[1.0, 3.0], [3.0, 1.0]]), [0.0, 0.0], T1), "definite symmetric part"),
     "controls": (lambda: pair([[1.0, 0.0], [0.0, 1.0]], controls=laws()[:1]), "`controls` must be a tuple with one"),
     "plant": (
-        lambda: qj.MultivariableLoop(One(), (qj.references.Constant(0.0),), (qj.disturbances.Zero(),), laws()[:1]),
+        lambda: qj.MultivariableLoop(Scalar(), (qj.references.Constant(0.0),), (qj.disturbances.Zero(),), laws()[:1]),
         "must have several inputs",
     ),
     "surface": (
@@ -302,5 +284,8 @@ def test_what_is_told_of_several_channels_has_each(tmp_path):
     for i in range(2):
         np.testing.assert_allclose(lines[i], (2.0 * run.sigma[:, i] - low[:, i] - high[:, i]) / (high - low)[:, i])
     assert len(run.plot()) == 4
+    axes = plot_trajectory(run, again, labels=("before", "after"))
+    named = [text.get_text() for text in axes[0].get_legend().get_texts()]
+    assert named == ["channel 0, before", "channel 1, before", "channel 0, after", "channel 1, after", "$x_{des}$"]
     with pytest.raises(InputError, match="order 2"):
         run.plot_phase_plane()
