@@ -266,15 +266,20 @@ def test_a_run_that_starts_outside_in_one_channel_is_not_begun(x0):
     assert {verdict.name for verdict in run.verdicts.values()} == {"INADMISSIBLE"}
 
 
+def test_a_dataset_has_each_channel():
+    pytest.importorskip("xarray")
+    run = qj.simulate(pair(ROTATED(60.0), 0.7), [1.5, -0.8], T1)
+    dimensions = {name: each.dims for name, each in run.to_xarray().items()}
+    assert dimensions["u"] == ("t", "channel")
+    assert dimensions["e"] == ("t", "error")
+
+
 def test_what_is_told_of_several_channels_has_each(tmp_path):
     loop = pair(ROTATED(60.0), 0.7)
     run = qj.simulate(loop, [1.5, -0.8], T1)
     assert "channel 1: HELD" in str(run)
     assert "together: sup V" in str(run)
     assert {"x[1]", "e[1]", "sigma[1]", "rho[0]", "u[1]", "d[0]"} <= set(run.columns())
-    dimensions = {name: each.dims for name, each in run.to_xarray().items()}
-    assert dimensions["u"] == ("t", "channel")
-    assert dimensions["e"] == ("t", "error")
     qj.save(run, tmp_path / "run.npz")
     again = qj.load(tmp_path / "run.npz", of=loop)
     np.testing.assert_array_equal(again.sigma, run.sigma)
