@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from qsmc_jax.control import thresholds as thresholds
     from qsmc_jax.control.control import AbstractControl as AbstractControl
     from qsmc_jax.control.control import Sample as Sample
+    from qsmc_jax.control.dynamic_control import AbstractDynamicControl as AbstractDynamicControl
     from qsmc_jax.control.funnel import AbstractFunnel as AbstractFunnel
     from qsmc_jax.control.funnel import Funnel as Funnel
     from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from qsmc_jax.model.disturbances import AbstractDisturbance as AbstractDisturbance
     from qsmc_jax.model.plants import AbstractPlant as AbstractPlant
     from qsmc_jax.model.recording import Recording as Recording
+    from qsmc_jax.model.reference_model import AbstractReferenceModel as AbstractReferenceModel
     from qsmc_jax.model.references import AbstractReference as AbstractReference
     from qsmc_jax.model.state_space import AbstractStateSpace as AbstractStateSpace
     from qsmc_jax.multivariable import MultivariableLoop as MultivariableLoop
@@ -91,6 +93,7 @@ _HOMES = {
     "Funnel": "qsmc_jax.control.funnel",
     "QuasiSlidingControl": "qsmc_jax.control.law",
     "AbstractControl": "qsmc_jax.control.control",
+    "AbstractDynamicControl": "qsmc_jax.control.dynamic_control",
     "Sample": "qsmc_jax.control.control",
     "SlidingSurface": "qsmc_jax.control.surface",
     "GainFault": "qsmc_jax.implementation.implementation",
@@ -104,6 +107,7 @@ _HOMES = {
     "AbstractStateSpace": "qsmc_jax.model.state_space",
     "Recording": "qsmc_jax.model.recording",
     "AbstractReference": "qsmc_jax.model.references",
+    "AbstractReferenceModel": "qsmc_jax.model.reference_model",
     "Metrics": "qsmc_jax.metrics.standard",
     "always": "qsmc_jax.metrics.requirements",
     "eventually": "qsmc_jax.metrics.requirements",

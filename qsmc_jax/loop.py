@@ -1,39 +1,43 @@
 """The closed loop as pure functions: plant, reference, disturbance and control, at one instant."""
 
+import dataclasses
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
+from qsmc_jax.accompanied import Accompanied
 from qsmc_jax.base.checks import require
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import AbstractModule, require_fields
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.channel import Channel
-from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.control.control import AbstractControl
+from qsmc_jax.control.dynamic_control import is_continuous
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.implementation import Implementation
+from qsmc_jax.model.consistency import require_derivatives
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
 from qsmc_jax.model.own_coordinates import AbstractOwnCoordinates
 from qsmc_jax.model.plants import AbstractPlant
-from qsmc_jax.model.references import AbstractReference, Recorded
+from qsmc_jax.model.reference_model import AbstractReferenceModel
+from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.model.terms import Balance, OwnTerms, Terms
 from qsmc_jax.numerics.gudermann import ratio
-from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
 
 
 class ClosedLoop(AbstractModule):
     r"""A plant under a controller: $\dot x_n = f + g u + d$ with $u$ from `control`, or a plant in own coordinates.
 
     Without an `implementation` it is the loop of the paper, in continuous time, under its law or any other that is
-    smooth and has no memory.
+    smooth, and whose memory, if it has one, follows a differential equation (`AbstractDynamicControl`).
 
     Attributes:
         plant: The plant, of order n: a chain of integrators, or in its own coordinates (`AbstractStateSpace`; n is its
             relative degree then).
-        reference: The desired output $x_{des}(t)$, at least n times differentiable.
+        reference: The desired output $x_{des}(t)$, at least n times differentiable, or a model that makes it
+            (`AbstractReferenceModel`).
         disturbance: The disturbance $d(t)$, matched in a chain.
         control: The controller with its surface (n - 1 coefficients) and funnel.
         implementation: How the controller is implemented; None for the ideal loop.
@@ -58,8 +62,8 @@ class ClosedLoop(AbstractModule):
 
     hint: ClassVar[str] = "Make one: `qj.ClosedLoop(plant, reference, disturbance, control)`."
 
-    plant: AbstractPlant | AbstractStateSpace | Channel
-    reference: AbstractReference
+    plant: AbstractPlant | AbstractStateSpace | Channel | Accompanied
+    reference: AbstractReference | AbstractReferenceModel
     disturbance: AbstractDisturbance
     control: AbstractControl
     implementation: Implementation | None = None
@@ -77,19 +81,27 @@ class ClosedLoop(AbstractModule):
             f"Argument `c` of the sliding surface must have {order - 1} coefficients for a plant of order {order}, but "
             f"has {has - 1}. `SlidingSurface.binomial(a, {order})` makes a fitting one.",
         )
-        _require_derivatives((self.reference, order))
-        if isinstance(self.reference, Recorded):
-            self.reference.check_order(order)
+        if isinstance(self.reference, AbstractReference):
+            require_derivatives(self.reference, order)
         require(
-            self.implementation is not None or (self.control.has_derivative and len(self.control.first_memory()) == 0),
-            f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches or "
-            "has a memory can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
+            self.implementation is not None or is_continuous(self.control),
+            f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches, or "
+            "has a memory without rates, can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
         )
-        unmatched = () if self.implementation is None else self.implementation.unmatched
+        self._require_fitting_implementation()
+
+    def _require_fitting_implementation(self) -> None:
+        made, told = self.implementation, "of the implementation must be left out"
+        has_model = isinstance(self.reference, AbstractReferenceModel)
         require(
-            not unmatched or isinstance(self.plant, AbstractPlant),
-            "Argument `unmatched` of the implementation must be left out for a plant in its own coordinates: there `d` "
-            "enters where `vector_field` has it.",
+            made is None or not made.unmatched or (isinstance(self.plant, AbstractPlant) and not has_model),
+            f"Argument `unmatched` {told} for a plant in its own coordinates, where `d` enters where `vector_field` "
+            "has it, and with a reference model.",
+        )
+        require(
+            made is None or made.measurement_delay is None or not has_model,
+            f"Argument `measurement_delay` {told} with a reference model, whose state at the sample is not known when "
+            "the plant's is measured. Use `delay`.",
         )
 
     @property
@@ -103,9 +115,41 @@ class ClosedLoop(AbstractModule):
         return self.plant.order
 
     @property
+    def whole(self) -> "ClosedLoop":
+        """The loop as it is solved: with a reference model, or a law with states, these are part of its plant."""
+        law = self.control if self.implementation is None and len(self.control.first_memory()) else None
+        is_whole = isinstance(self.plant, Accompanied) or (
+            law is None and isinstance(self.reference, AbstractReference)
+        )
+        if is_whole:
+            return self
+        assert isinstance(self.plant, AbstractPlant | AbstractStateSpace)
+        return dataclasses.replace(self, plant=Accompanied(self.plant, self.reference, law))
+
+    @property
+    def bodies(self) -> tuple[AbstractPlant | AbstractStateSpace | AbstractReferenceModel, ...]:
+        """What has states and is the user's: the plant, and a reference model."""
+        assert isinstance(self.plant, AbstractPlant | AbstractStateSpace)
+        return (self.plant,) if isinstance(self.reference, AbstractReference) else (self.plant, self.reference)
+
+    def start(self, x0: State) -> Scalars:
+        """The start of all its states, from that of the plant's.
+
+        Args:
+            x0: The start of the plant, a number for each of its states.
+        """
+        plant = self.whole.plant
+        return plant.start(x0) if isinstance(plant, Accompanied) else tuple(x0)
+
+    @property
     def states(self) -> int:
-        """The number of states of the plant."""
-        return self.plant.states
+        """The number of states: those of the plant, of a reference model, and of a law in continuous time."""
+        return self.whole.plant.states
+
+    @property
+    def measured(self) -> int:
+        """How many states are measured: those of the plant itself."""
+        return self.plant.plant.states if isinstance(self.plant, Accompanied) else self.plant.states
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -115,7 +159,7 @@ class ClosedLoop(AbstractModule):
     @property
     def axis(self) -> str:
         """What a state is numbered by: derivatives of the output, unless the plant has coordinates of its own."""
-        return "derivative" if isinstance(self.plant, AbstractPlant) else "state"
+        return "derivative" if isinstance(self.whole.plant, AbstractPlant) else "state"
 
     def widths(self, bandwidth: RealScalarLike | None) -> Scalars:
         """The bandwidth of each channel, of which there is one; twice where the funnel ends if none is given.
@@ -125,13 +169,21 @@ class ClosedLoop(AbstractModule):
         """
         return (2.0 * self.control.funnel.bandwidths[0] if bandwidth is None else bandwidth,)
 
-    def desired(self, t: RealScalarLike) -> tuple[RealScalarLike, ...]:
+    def desired(self, t: RealScalarLike, x: State = ()) -> tuple[RealScalarLike, ...]:
         """The desired output and its first n derivatives at time t [s]: n + 1 scalars.
 
         Args:
             t: Time [s].
+            x: State, which matters to a reference model alone.
+
+        Raises:
+            InputError: The reference is a model, and the loop not the `whole` one, which has its states.
         """
-        return self.reference.derivatives(t, self.order)
+        if isinstance(self.plant, Accompanied):
+            return self.plant.desired(t, x)
+        if isinstance(self.reference, AbstractReference):
+            return self.reference.derivatives(t, self.order)
+        raise InputError(f"A reference model has states of its own: ask `loop.whole`, at a state of {self.states}.")
 
     def state(self, errors: State, desired: State) -> tuple[RealScalarLike, ...]:
         r"""The state $x_{i+1} = x_{des}^{(i)} + e^{(i)}$; `desired` is `self.desired(t)`, which callers have.
@@ -149,7 +201,7 @@ class ClosedLoop(AbstractModule):
             t: Time [s].
             x: State, n scalars.
         """
-        return tuple(yi - di for yi, di in zip(self.plant.outputs(t, x), self.desired(t), strict=False))
+        return tuple(yi - di for yi, di in zip(self.plant.outputs(t, x), self.desired(t, x), strict=False))
 
     def errors_in_motion(self, t: RealScalarLike, x: State, rates: Scalars) -> tuple[Scalars, Scalars]:
         """The errors with their rates where the state has the given ones, n scalars each.
@@ -159,7 +211,7 @@ class ClosedLoop(AbstractModule):
             x: State.
             rates: Its rates.
         """
-        desired, (outputs, moving) = self.desired(t), self.plant.outputs_in_motion(t, x, rates)
+        desired, (outputs, moving) = self.desired(t, x), self.plant.outputs_in_motion(t, x, rates)
         errors = tuple(yi - di for yi, di in zip(outputs, desired, strict=False))
         return errors, tuple(yi - di for yi, di in zip(moving, desired[1:], strict=True))
 
@@ -192,48 +244,37 @@ class ClosedLoop(AbstractModule):
         deviation = law.surface(errors) - law.funnel.centre(t)
         if isinstance(law, QuasiSlidingControl):
             return law(deviation, law.funnel(t))
-        return self.command(t, errors, self.desired(t), deviation)
+        return self.command(t, x, errors, self.desired(t, x), deviation)
 
-    def command(self, t: RealScalarLike, errors: State, desired: State, deviation: RealScalarLike) -> RealScalarLike:
-        """What a law without memory makes of exact errors.
+    def command(
+        self, t: RealScalarLike, x: State, errors: State, desired: State, deviation: RealScalarLike
+    ) -> RealScalarLike:
+        """What a law makes of exact errors.
 
         Args:
             t: Time [s].
+            x: State, of which the law's memory is part; nothing else of it matters.
             errors: Errors, n scalars.
             desired: Desired output and its first n derivatives.
             deviation: The sliding variable, from the funnel's centre.
         """
-        funnel, centre = self.control.funnel, self.control.funnel.centre(t)
-        sample = Sample(t, 0.0, deviation + centre, funnel(t), desired, "wrap", centre, errors)
-        return self.control.command(sample, ())[0]
+        law, memory = self.control, self.plant.memory(x) if isinstance(self.plant, Accompanied) else ()
+        sigma = deviation + law.funnel.centre(t)
+        return law.command(law.exact_sample(t, tuple(errors), tuple(desired), sigma), memory)[0]
 
-    def input_at(self, t: RealScalarLike, errors: State, desired: State, s: RealScalarLike) -> RealScalarLike:
+    def input_at(self, t: RealScalarLike, x: State, errors: State, desired: State, s: RealScalarLike) -> RealScalarLike:
         """The input u of the ideal loop where the funnel coordinate is known too.
 
         Args:
             t: Time [s].
+            x: As for `command`.
             errors: Errors, n scalars.
             desired: Desired output and its first n derivatives.
             s: Funnel coordinate [-].
         """
         if isinstance(self.control, QuasiSlidingControl):
             return self.control.at(s, t)
-        return self.command(t, errors, desired, self.control.funnel(t) * ratio(s))
-
-    def steepness(self, t: RealScalarLike, errors: State, desired: State, deviation: RealScalarLike) -> RealScalarLike:
-        """The size of the input's derivative in the sliding variable, of a law without memory.
-
-        Args:
-            t: Time [s].
-            errors: Errors, n scalars.
-            desired: Desired output and its first n derivatives.
-            deviation: The sliding variable, from the funnel's centre.
-        """
-
-        def along(step: RealScalarLike) -> RealScalarLike:
-            return jnp.asarray(self.command(t, (*errors[:-1], errors[-1] + step), desired, deviation + step))
-
-        return jnp.abs(jax.jvp(along, (jnp.zeros(()),), (jnp.ones(()),))[1])
+        return self.command(t, x, errors, desired, self.control.funnel(t) * ratio(s))
 
     def balance(self, t: RealScalarLike, x: State, errors: State, desired: State) -> Balance:
         """The terms of the sliding variable's derivative; callers have `self.errors(t, x)` and `self.desired(t)`.
@@ -350,26 +391,7 @@ class ClosedLoop(AbstractModule):
         return self.driven(t, x, self.input(t, x))
 
     @property
-    def break_times(self) -> Float[Array, " breaks"]:
-        """Times [s] at which the right-hand side jumps or kinks, other than at samples, in any order."""
-        return jnp.concatenate(self.breaks_by_part)
-
-    @property
     def breaks_by_part(self) -> list[Array]:
-        """The same for each of its parts."""
+        """Times [s] at which the right-hand side jumps or kinks, other than at samples, for each of its parts."""
         parts = [self.plant, self.reference, self.disturbance, self.control.funnel, self.implementation]
         return [as_times(part.break_times) for part in parts if part is not None]
-
-
-@once_per_structure
-def _require_derivatives(pair: tuple[AbstractReference, int]) -> None:
-    """Raises unless a reference has its derivatives up to an order, each one number."""
-    reference, order = pair
-    owner, time = f"`{type(reference).__name__}`", jax.ShapeDtypeStruct((), float)
-    name = f"`derivatives` of {owner}"
-    _, result = trace(name, "a time and an order", reference, lambda r, t: tuple(r.derivatives(t, order)), time)
-    require(
-        len(result) == order + 1 and all(map(is_number, result)),
-        f"{name} must return {order + 1} numbers for order {order}, but returns {described(result)}.",
-    )
-    trace(f"`break_times` of {owner}", "nothing", reference, lambda r: as_times(r.break_times))

@@ -94,6 +94,24 @@ class MultivariableLoop(AbstractModule):
         return tuple(ClosedLoop(plant, *each) for plant, each in zip(made, parts, strict=False))
 
     @property
+    def whole(self) -> "MultivariableLoop":
+        """The loop itself: nothing runs beside its plant. See `ClosedLoop`."""
+        return self
+
+    @property
+    def bodies(self) -> tuple[AbstractStateSpace, ...]:
+        """What has states: the plant."""
+        return (self.plant,)
+
+    def start(self, x0: State) -> Scalars:
+        """The start of all its states: that of the plant's.
+
+        Args:
+            x0: The start of the plant, N numbers.
+        """
+        return tuple(x0)
+
+    @property
     def states(self) -> int:
         """The number of states of the plant."""
         return self.plant.states

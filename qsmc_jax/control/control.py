@@ -69,8 +69,9 @@ class AbstractControl(AbstractModule):
     """A controller: it knows the errors, the reference, and of the plant the order and the sign of the gain.
 
     A law of your own is a class with the fields below, `first_memory` and `command`. One that is smooth and has no
-    memory is solved in continuous time too, where a `Sample` has exact errors and period 0; any other needs an
-    `Implementation`. What it may do within a step is enclosed like any function that you bring.
+    memory is solved in continuous time too, where a `Sample` has exact errors and period 0; so is one whose memory has
+    rates, an `AbstractDynamicControl`. Any other needs an `Implementation`. What it may do within a step is enclosed
+    like any function that you bring.
 
     Attributes:
         surface: Sliding surface.
@@ -118,17 +119,31 @@ class AbstractControl(AbstractModule):
 
     def is_valid(self) -> BoolScalarLike:
         """Whether funnel, surface and the law's own numbers are what the constructors ask for, for traced ones."""
-        own = [getattr(self, name) > 0.0 for name in self.positive] + [law.is_valid() for law in self._laws]
+        own = [getattr(self, name) > 0.0 for name in self.positive] + [law.is_valid() for law in self.inner_laws]
         return ft.reduce(jnp.logical_and, own, self.funnel.is_valid() & self.surface.is_hurwitz())
 
     @property
     def has_derivative(self) -> bool:
         """Whether the law is smooth, and those that it is made of."""
-        return self.is_smooth and all(law.has_derivative for law in self._laws)
+        return self.is_smooth and all(law.has_derivative for law in self.inner_laws)
 
     @property
-    def _laws(self) -> list["AbstractControl"]:
+    def inner_laws(self) -> list["AbstractControl"]:
+        """The laws that this one is made of."""
         return [value for value in vars(self).values() if isinstance(value, AbstractControl)]
+
+    def exact_sample(self, t: RealScalarLike, errors: Scalars, desired: Scalars, sigma: RealScalarLike) -> Sample:
+        """What it is given in the ideal loop.
+
+        Args:
+            t: Time [s].
+            errors: Errors, n scalars.
+            desired: Desired output and its first n derivatives.
+            sigma: The sliding variable.
+        """
+        # A law with a memory may be given what lies outside the funnel, though the loop is inside.
+        beyond = "saturate" if len(self.first_memory()) else "wrap"
+        return Sample(t, 0.0, sigma, self.funnel(t), desired, beyond, self.funnel.centre(t), errors)
 
     @abc.abstractmethod
     def first_memory(self) -> Scalars:

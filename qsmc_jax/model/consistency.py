@@ -12,6 +12,7 @@ from qsmc_jax.base.checks import is_traced, require, show
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.model.kinks import as_times
 from qsmc_jax.model.references import AbstractReference, Constant, Recorded, Smooth, SumOfSines
+from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
 
 _EXACT = (Constant, Recorded, SumOfSines, Smooth)  # by their formulas
 _TIMES = 512  # at most half of them one for each piece
@@ -19,6 +20,31 @@ _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 # Formulas that differ by rounding agree to far more digits; numbers rounded by hand, such as 3.14, to fewer.
 _AGREEMENT = 1e-6
 _ROUNDING = 1e-12
+
+
+def require_derivatives(reference: AbstractReference, order: int) -> None:
+    """Raises unless a reference has derivatives up to an order, each one number, and those below it continuous.
+
+    Args:
+        reference: The reference.
+        order: The order of the plant.
+    """
+    _require_derivatives((reference, order))
+    if isinstance(reference, Recorded):
+        reference.check_order(order)
+
+
+@once_per_structure
+def _require_derivatives(pair: tuple[AbstractReference, int]) -> None:
+    reference, order = pair
+    owner, time = f"`{type(reference).__name__}`", jax.ShapeDtypeStruct((), float)
+    name = f"`derivatives` of {owner}"
+    _, result = trace(name, "a time and an order", reference, lambda r, t: tuple(r.derivatives(t, order)), time)
+    require(
+        len(result) == order + 1 and all(map(is_number, result)),
+        f"{name} must return {order + 1} numbers for order {order}, but returns {described(result)}.",
+    )
+    trace(f"`break_times` of {owner}", "nothing", reference, lambda r: as_times(r.break_times))
 
 
 def require_consistent(reference: AbstractReference, order: int, t1: Any) -> None:

@@ -138,7 +138,7 @@ class AbstractStateSpace(AbstractOwnCoordinates):
         found = []
         for _ in range(self.relative_degrees[channel]):
             found.append(jnp.asarray(derivative(t, x), float))
-            derivative = self._along(derivative)
+            derivative = along_rates(derivative, lambda t, x: self.vector_field(t, x, self.calm))
         return tuple(found)
 
     def outputs_in_motion(
@@ -167,14 +167,20 @@ class AbstractStateSpace(AbstractOwnCoordinates):
         """
         return self.outputs_in_motion(t, x, self.column(t, x, by), 0.0, channel)[1]
 
-    def _along(self, function: _Output) -> _Output:
-        """The derivative of a function of time and state along f without disturbance."""
 
-        def derivative(t: RealScalarLike, x: State) -> RealScalarLike:
-            as_number = lambda t, x: jnp.asarray(function(t, x), float)  # noqa: E731
-            return jax.jvp(as_number, *_primals_and_tangents(t, x, self.vector_field(t, x, self.calm), 1.0))[1]
+def along_rates(function: _Output, rates: Callable[[RealScalarLike, Scalars], Scalars]) -> _Output:
+    """The derivative in time of a function of time and state, where the state has the given rates.
 
-        return derivative
+    Args:
+        function: The function.
+        rates: The rates, another one.
+    """
+
+    def derivative(t: RealScalarLike, x: State) -> RealScalarLike:
+        as_number = lambda t, x: jnp.asarray(function(t, x), float)  # noqa: E731
+        return jax.jvp(as_number, *_primals_and_tangents(t, x, rates(t, x), 1.0))[1]
+
+    return derivative
 
 
 def _primals_and_tangents(t: RealScalarLike, x: State, rates: Scalars, time: float) -> tuple[Any, Any]:

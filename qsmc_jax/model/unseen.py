@@ -7,6 +7,7 @@ so in its `break_times`, at which steps end; between these it is smooth, and bou
 import functools as ft
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -29,6 +30,7 @@ from qsmc_jax.model.disturbances import (
 )
 from qsmc_jax.model.plants import AbstractPlant, FourthOrderExample, InvertedPendulum
 from qsmc_jax.model.recording import Recording
+from qsmc_jax.model.reference_model import AbstractReferenceModel
 from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.model.state_space import AbstractStateSpace
 
@@ -129,7 +131,7 @@ def _(signal: Sum, t: RealScalarLike) -> Callable[[RealScalarLike], RealScalarLi
 
 
 @ft.singledispatch
-def unseen_in_reference(reference: AbstractReference, order: int, step: Step) -> Unseen:
+def unseen_in_reference(reference: Any, order: int, step: Step) -> Unseen:
     """What a derivative of a reference can hide in a step; `order` 0 is the reference itself."""
     return unseen(lambda t: reference.derivatives(t, order)[order], step)
 
@@ -151,9 +153,17 @@ def _(reference: references.Recorded, order: int, step: Step) -> Unseen:
     return _between_samples(reference.recording, order, step)
 
 
-def is_consistent(reference: AbstractReference) -> bool:
+@unseen_in_reference.register(AbstractReferenceModel)
+def _(reference: AbstractReferenceModel, order: int, step: Step) -> Unseen:
+    """Nothing as a function of time: it is part of what moves the state."""
+    return _amount(0.0)
+
+
+def is_consistent(reference: AbstractReference | AbstractReferenceModel) -> bool:
     """Whether a reference is continuous and its derivatives are its own by construction."""
-    return isinstance(reference, references.Constant | references.SumOfSines | references.Recorded)
+    return isinstance(
+        reference, references.Constant | references.SumOfSines | references.Recorded | AbstractReferenceModel
+    )
 
 
 @ft.singledispatch
@@ -174,7 +184,7 @@ def _(plant: FourthOrderExample) -> tuple[RealScalarLike, RealScalarLike]:
     return plant.gain_scale, 3.0 * plant.gain_scale
 
 
-def is_known(plant: AbstractPlant | AbstractStateSpace) -> bool:
+def is_known(plant: AbstractPlant | AbstractStateSpace | AbstractReferenceModel) -> bool:
     """Whether a plant is one of the library's: its drift, sines of the state, hides nothing within a step."""
     return gain_range.dispatch(type(plant)) is not gain_range.dispatch(object)
 

@@ -198,7 +198,7 @@ def _operating_range(study: Study) -> OperatingRange | None:
         residual=float(np.max(np.abs(residual))),
         gains=(float(np.min(gain)), float(np.max(gain))),
         demand=float(law.gain * np.max(load / gain) + np.abs(law.offset)),
-        ratio0=float(np.abs(loop.ratio(0.0, tuple(nominal.x0)))),
+        ratio0=float(np.abs(loop.whole.ratio(0.0, loop.start(tuple(nominal.x0))))),
         peak_u=float(run.metrics.peak_u),
         period=_numbers(nominal.loop)["sample_period"],
     )
@@ -209,10 +209,11 @@ def _balances(
     loop: ClosedLoop, run: Trajectory
 ) -> tuple[Float[Array, " times"], Float[Array, " times"], Float[Array, " times"]]:
     """The residual less the centre's rate, |gain| with the sign that the law takes it to have, the funnel's load."""
+    loop = loop.whole
 
     def at(t: Array, row: Float[Array, " n"]) -> tuple[Array, Array, Array]:
         x = tuple(row[i] for i in range(loop.states))
-        balance, funnel = loop.plain(t, loop.balance(t, x, loop.errors(t, x), loop.desired(t))), loop.control.funnel
+        balance, funnel = loop.plain(t, loop.balance(t, x, loop.errors(t, x), loop.desired(t, x))), loop.control.funnel
         residual, gain = balance.residual - funnel.centre_and_rate(t)[1], loop.control.gain_sign * balance.gain
         return jnp.asarray(residual), jnp.asarray(gain), jnp.asarray(funnel.load(t, balance.residual))
 

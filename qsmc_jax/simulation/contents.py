@@ -8,12 +8,14 @@ import numpy as np
 
 from qsmc_jax.base.types import Scalars
 from qsmc_jax.control.control import AbstractControl, Beyond, Sample
+from qsmc_jax.control.dynamic_control import memory_at_start, memory_rates
 from qsmc_jax.control.funnel import Funnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.actuators import AbstractActuator
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.components import components
+from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.simulation.finite import is_ours
 from qsmc_jax.tracing.digest import digest
@@ -38,9 +40,10 @@ def functions_of(loop: ClosedLoop | MultivariableLoop) -> Contents:
     Whatever such a function reads from outside, a global say, is in them: JAX keeps programs by what a loop looks like.
     """
     number = jax.ShapeDtypeStruct((), np.float64)
-    given, plant = (number, (number,) * loop.states, number), type(loop.plant).__name__
     parts: dict[str, _Part] = {
-        f"{name} of `{plant}`": (loop.plant, each, given) for name, each in components(loop.plant).items()
+        f"{name} of `{type(body).__name__}`": (body, each, (number, (number,) * body.states, number))
+        for body in loop.bodies
+        for name, each in components(body).items()
     }
     for i, channel in enumerate(loop.channels):
         of = f" of channel {i}" if len(loop.channels) > 1 else ""
@@ -56,13 +59,11 @@ def _signals(loop: ClosedLoop) -> dict[str, _Part]:
     """The same of disturbance, reference and funnel."""
     number = jax.ShapeDtypeStruct((), np.float64)
     parts: dict[str, _Part] = {
-        f"disturbance `{type(loop.disturbance).__name__}`": (loop.disturbance, lambda d, t: d(t), (number,)),
-        f"reference `{type(loop.reference).__name__}`": (
-            loop.reference,
-            lambda reference, t: reference.derivatives(t, loop.order),
-            (number,),
-        ),
+        f"disturbance `{type(loop.disturbance).__name__}`": (loop.disturbance, lambda d, t: d(t), (number,))
     }
+    if isinstance(loop.reference, AbstractReference):
+        name = f"reference `{type(loop.reference).__name__}`"
+        parts[name] = loop.reference, lambda reference, t: reference.derivatives(t, loop.order), (number,)
     if not isinstance(loop.control.funnel, Funnel):
         name = f"funnel `{type(loop.control.funnel).__name__}`"
         parts[name] = loop.control.funnel, lambda f, t: (f.width_and_rate(t), f.centre_and_rate(t)), (number,)
@@ -76,7 +77,8 @@ def _law(loop: ClosedLoop, beyond: Beyond) -> dict[str, _Part]:
     def command(control: AbstractControl, t: Any, period: Any, sigma: Any, rho: Any, *known: Scalars) -> Any:
         desired, memory, errors = known
         sample = Sample(t, period, sigma, rho, desired, beyond, control.funnel.centre(t), errors)
-        return control.first_memory(), control.command(sample, memory)
+        at_start = memory_at_start(control, sample), memory_rates(control, sample, memory)
+        return control.first_memory(), control.command(sample, memory), at_start
 
     memory = (number,) * len(control.first_memory())
     given = number, number, number, number, (number,) * (loop.order + 1), memory, (number,) * loop.order

@@ -14,6 +14,7 @@ from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.components import components
+from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.model.unseen import is_consistent, is_known, is_own
 from qsmc_jax.multivariable import MultivariableLoop
 
@@ -28,7 +29,8 @@ def is_ours(loop: ClosedLoop | MultivariableLoop) -> bool:
     """
     if isinstance(loop, MultivariableLoop):
         return False
-    return is_known(loop.plant) and is_consistent(loop.reference) and is_own(loop.disturbance)
+    is_plain = isinstance(loop.reference, AbstractReference) and is_consistent(loop.reference)
+    return is_known(loop.plant) and is_plain and is_own(loop.disturbance)
 
 
 def require_finite_functions(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: RealScalarLike) -> None:
@@ -57,9 +59,12 @@ def require_finite_functions(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: 
 
 @entry_point
 def _values(loop: ClosedLoop | MultivariableLoop, x0: Any, ts: Float[np.ndarray, " times"]) -> dict[str, Any]:
-    plant = type(loop.plant).__name__
     own, of_channels = _evaluated(loop, jnp.asarray(x0), jnp.asarray(ts))
-    names = {f"`{method}` of `{plant}`": values for method, values in own.items()}
+    names = {
+        f"`{method}` of `{type(body).__name__}`": values
+        for body, found in zip(loop.bodies, own, strict=True)
+        for method, values in found.items()
+    }
     several = len(loop.channels) > 1
     for i, (channel, (disturbance, desired)) in enumerate(zip(loop.channels, of_channels, strict=True)):
         of = f" of channel {i}" if several else ""
@@ -72,10 +77,13 @@ def _values(loop: ClosedLoop | MultivariableLoop, x0: Any, ts: Float[np.ndarray,
 @eqx.filter_jit
 def _evaluated(loop: ClosedLoop | MultivariableLoop, x0: Float[Array, " n"], ts: Float[Array, " times"]) -> Any:
     def at(t: Array) -> Any:
-        x = tuple(x0[i] for i in range(loop.states))
-        signals = [(channel.disturbance(t), channel.desired(t)) for channel in loop.channels]
-        d = loop.channels[0].disturbed(t)
-        own = {name: component(loop.plant, t, x, d) for name, component in components(loop.plant).items()}
+        x, d = loop.start(tuple(x0)), loop.channels[0].disturbed(t)
+        signals = [(channel.disturbance(t), channel.whole.desired(t, x)) for channel in loop.channels]
+        starts = x, x[loop.plant.states :]
+        own = [
+            {name: component(body, t, start[: body.states], d) for name, component in components(body).items()}
+            for body, start in zip(loop.bodies, starts, strict=False)
+        ]
         return jax.tree.map(lambda value: jnp.asarray(value, float), (own, signals))
 
     return jax.vmap(at)(ts)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
+from qsmc_jax.accompanied import Accompanied
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.channel import Channel
 from qsmc_jax.control.funnel import AbstractFunnel, Funnel
@@ -24,6 +25,7 @@ from qsmc_jax.enclosures.unseen import Step, Unseen, unseen, unseen_each
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.plants import AbstractPlant
+from qsmc_jax.model.reference_model import AbstractReferenceModel
 from qsmc_jax.model.state_space import AbstractStateSpace
 from qsmc_jax.model.unseen import (
     gain_range,
@@ -88,7 +90,7 @@ def hidden(
     at, largest = _path(channels[0], step, ys), [jnp.maximum(*each) for each in us]
     loops, barrier = [each.loop for each in channels], problem.barrier
     hiding = _once(barrier, _hiding(loops, step, at, largest, least, barrier))
-    found = [_hidden_in(loop, step, at, hiding, i, sinhs[i], largest[i]) for i, loop in enumerate(loops)]
+    found = [_hidden_in(loop, step, at, hiding, i, sinhs[i], largest[i], barrier) for i, loop in enumerate(loops)]
     moves = [each for each, _ in found] + ([] if is_nothing(hiding.in_states) else [_or_all(hiding.in_states)])
     in_tolerances = [each / _worth(rtol) for each in moves if not is_nothing(each)]
     return ft.reduce(jnp.maximum, [*(growth for _, growth in found), *in_tolerances])
@@ -114,11 +116,12 @@ def _hidden_in(
     channel: int,
     sinhs: tuple[RealScalarLike, RealScalarLike],
     largest: RealScalarLike,
+    barrier: Barrier,
 ) -> tuple[RealScalarLike, RealScalarLike]:
     """How far a channel's funnel coordinate could move unseen, 0.0 if nothing can hide, and by what exponent grow."""
     pushes = joined([hiding.moved[channel], *_asked(loop, step)])
     amount_of_gain, lowest = hiding.gains[channel].amount, hiding.gains[channel].low
-    jump, of_law = _discontinuity(loop, step), _of_law(loop, step, at)
+    jump, of_law = _discontinuity(loop, step), _of_law(loop, step, at, barrier)
     k = 0.5 * jnp.pi / _narrowest(loop.control.funnel, step)
     # By an exponent of 1 at most may a small s grow in a step in which the gain may push outwards.
     growth = step.length * k * jnp.maximum(-lowest, 0.0)
@@ -241,7 +244,7 @@ def _hiding(
         low, high = gain_range(plant)
         gain = Unseen(0.0, jnp.minimum(sign * low, sign * high), jnp.nan)
         return Hiding((disturbance,), (gain,), 0.0)
-    drift, gain = unseen_each(lambda t: (plant.drift(t, at(t)), sign * loop.gain(t, at(t))), step)
+    drift, gain = unseen_each(lambda t: (plant.drift(t, at(t)), sign * loop.gain(t, at(t))), step, barrier)
     return Hiding((joined([disturbance, drift]),), (gain,), 0.0)
 
 
@@ -260,17 +263,18 @@ def _hiding_in_own(
     """
     first, m, d = loops[0].plant, len(loops), _disturbed(loops[0], step)
     own = first.plant if isinstance(first, Channel) else first
-    assert isinstance(own, AbstractStateSpace)
-    states = own.states
+    assert isinstance(own, AbstractStateSpace | Accompanied)
+    states, has_model = own.states, isinstance(loops[0].reference, AbstractReferenceModel)
 
     def numbers(t: RealScalarLike) -> tuple[RealScalarLike, ...]:
         x = at(t)[:states]
-        free, columns = own.vector_field(t, x, d(t)), [own.column(t, x, j) for j in range(m)]
+        free, (columns, by_input) = own.vector_field(t, x, d(t)), _reach(first, t, x, m)
         moved, gains = [], []
         for i, loop in enumerate(loops):
             surface, sign = loop.control.surface, loop.control.gain_sign
-            moved.append(surface(own.outputs_in_motion(t, x, free, 1.0, i)[1]))
-            gains += [sign * surface(own.gains(t, x, i, j)) for j in range(m)]
+            in_motion = loop.errors_in_motion if has_model else loop.plant.outputs_in_motion
+            moved.append(surface(in_motion(t, x, free)[1]))
+            gains += [sign * surface(each) for each in by_input[i]]
         return (*free, *(entry for column in columns for entry in column), *moved, *gains)
 
     found = iter(unseen_each(numbers, step, barrier))
@@ -288,6 +292,15 @@ def _hiding_in_own(
     return Hiding(tuple(with_others), tuple(gains[i][i] for i in range(m)), ft.reduce(jnp.maximum, moves))
 
 
+def _reach(plant: Any, t: RealScalarLike, x: Scalars, inputs: int) -> tuple[list[Scalars], list[list[Scalars]]]:
+    """What a unit of each input adds to each rate; and for each output, and each input, to the rates of the errors."""
+    if not isinstance(plant, Channel):
+        return [tuple(plant.input_matrix(t, x))], [[plant.gains(t, x)]]
+    rows, all_of_them = plant.plant.input_matrix(t, x), range(inputs)
+    columns = [tuple(row[j] for row in rows) for j in all_of_them]
+    return columns, [[plant.plant.gains(t, x, i, j) for j in all_of_them] for i in all_of_them]
+
+
 def _times(found: Unseen, size: RealScalarLike) -> Unseen:
     """What may hide in something times a number."""
     return found if is_nothing(found.amount) else dataclasses.replace(found, amount=found.amount * size)
@@ -302,11 +315,11 @@ def _disturbed(loop: ClosedLoop, step: Step) -> Callable[[RealScalarLike], Any]:
     return lambda t: tuple(signal(t) for signal in signals)
 
 
-def _of_law(loop: ClosedLoop, step: Step, at: Path) -> RealScalarLike:
+def _of_law(loop: ClosedLoop, step: Step, at: Path, barrier: Barrier) -> RealScalarLike:
     """What may hide in what a law of the user's contributes to the sliding variable's rate; 0.0 for the paper's."""
     if isinstance(loop.control, QuasiSlidingControl):
         return 0.0
-    return unseen(lambda t: loop.gain(t, at(t)) * loop.input(t, at(t)), step).amount
+    return unseen_each(lambda t: (loop.gain(t, at(t)) * loop.input(t, at(t)),), step, barrier)[0].amount
 
 
 def _discontinuity(loop: ClosedLoop, step: Step) -> RealScalarLike:

@@ -30,10 +30,11 @@ def probed_functions(loop: ClosedLoop | MultivariableLoop) -> tuple[str, ...]:
         parts = [part for each in loop.channels for part in _signals(each, step)]
         for signal in () if loop.implementation is None else loop.implementation.unmatched:
             parts.append((f"`{type(signal).__name__}`", unseen_in_signal(signal, step)))
-        if not is_known(loop.plant):
-            for name, each in components(loop.plant).items():
-                path = lambda t, each=each: each(loop.plant, t, tuple(xi * t for xi in x), t)  # noqa: E731
-                parts.append((f"`{name}` of `{type(loop.plant).__name__}`", unseen(path, step)))
+        for body in loop.bodies:
+            for name, each in () if is_known(body) else components(body).items():
+                state = x[: body.states]
+                path = lambda t, body=body, each=each, x=state: each(body, t, tuple(xi * t for xi in x), t)  # noqa: E731
+                parts.append((f"`{name}` of `{type(body).__name__}`", unseen(path, step)))
         for name, part in parts:
             found[name] = tuple(sorted({*found.get(name, ()), *part.probed}))
         return jnp.zeros(())

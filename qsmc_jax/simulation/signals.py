@@ -73,8 +73,8 @@ def solve_along(
         made_of: As for `pose`.
         own: Metrics and requirements of the study.
     """
-    start, ts = tuple(x0[i] for i in range(loop.states)), jnp.asarray(ts)
-    problem = pose(loop, start, bandwidth, settings, made_of, own)
+    start, ts = loop.start(tuple(x0[i] for i in range(loop.plant.states))), jnp.asarray(ts)
+    problem = pose(loop.whole, start, bandwidth, settings, made_of, own)
     metrics, saved = solve(problem, start, t1, settings, jnp.minimum(ts, t1), is_drawn_well)
     read = _ideal if loop.implementation is None else _implemented
     signals = jax.vmap(lambda t, y: read(problem, t, y))(ts, saved)
@@ -98,11 +98,11 @@ def signals_at_start(loop: ClosedLoop | MultivariableLoop, x0: Float[np.ndarray,
         # The inputs are not asked for: any funnel coordinates will do.
         x, rest = tuple(x0), (jnp.zeros(()),) * len(loop.controls)
         return joint_signals(loop, np.zeros(()), x, [_at_start(each, (*x, *rest)) for each in loop.channels])
-    return _at_start(loop, tuple(x0))
+    return _at_start(loop.whole, loop.start(tuple(x0)))
 
 
 def _at_start(loop: ClosedLoop, x0: Scalars) -> Signals:
-    e, desired, rho = loop.errors(0.0, x0), loop.desired(0.0), loop.control.funnel(0.0)
+    e, desired, rho = loop.errors(0.0, x0), loop.desired(0.0, x0), loop.control.funnel(0.0)
     ratio = loop.ratio(0.0, x0)
     balance, sigma = loop.balance(0.0, x0, e, desired), jnp.asarray(loop.control.surface(e))
     driven = balance.disturbance, balance.residual, balance.gain

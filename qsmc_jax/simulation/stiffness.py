@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.precision import entry_point
-from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.plants import AbstractPlant
@@ -60,6 +60,7 @@ def stiffness(
 @eqx.filter_jit
 def _decays(loop: ClosedLoop | MultivariableLoop, x0: Array, t1: Array, made_of: Hashable) -> Array:
     del made_of  # by which the program is kept
+    loop, x0 = loop.whole, jnp.stack(loop.start(tuple(x0[i] for i in range(loop.plant.states))))
     if isinstance(loop, MultivariableLoop):
         x0 = jnp.concatenate([x0, jnp.zeros(len(loop.controls))])  # the funnel coordinates of `Channel`, at rest
     return ft.reduce(jnp.maximum, [_of_channel(each, x0, t1) for each in loop.channels])
@@ -76,21 +77,41 @@ def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
 
     In a plant in its own coordinates nobody knows where that is: at the start's state.
     """
-    rest, desired = (0.0,) * loop.order, loop.desired(t)
+    rest, desired = (0.0,) * loop.order, loop.desired(t, tuple(x0))
     is_chain = isinstance(loop.plant, AbstractPlant)
     balance = loop.balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
     law, balance = loop.control, loop.plain(t, balance)
     gain, load = jnp.abs(balance.gain), law.funnel.load(t, balance.residual)
     if not isinstance(law, QuasiSlidingControl):
         centre, centre_rate = law.funnel.centre_and_rate(t)
-        there = _balanced(loop, t, desired, jnp.sign(balance.residual - centre_rate) * load, balance.gain)
-        return gain * loop.steepness(t, (*rest[:-1], there + centre), desired, there)
+        there = _balanced(loop, t, tuple(x0), desired, jnp.sign(balance.residual - centre_rate) * load, balance.gain)
+        return gain * steepness(loop, t, tuple(x0), (*rest[:-1], there + centre), desired, there)
     input_ = load / jnp.where(gain > 0.0, gain, 1.0)
     return gain * (0.5 * math.pi) / law.funnel(t) * (1.0 + input_**2)
 
 
+def steepness(
+    loop: ClosedLoop, t: RealScalarLike, x: State, errors: State, desired: State, deviation: RealScalarLike
+) -> RealScalarLike:
+    """The size of the input's derivative in the sliding variable, with the law's memory as it is.
+
+    Args:
+        loop: The loop.
+        t: Time [s].
+        x: As for `ClosedLoop.command`.
+        errors: Errors, n scalars.
+        desired: Desired output and its first n derivatives.
+        deviation: The sliding variable, from the funnel's centre.
+    """
+
+    def along(step: RealScalarLike) -> RealScalarLike:
+        return jnp.asarray(loop.command(t, x, (*errors[:-1], errors[-1] + step), desired, deviation + step))
+
+    return jnp.abs(jax.jvp(along, (jnp.zeros(()),), (jnp.ones(()),))[1])
+
+
 def _balanced(
-    loop: ClosedLoop, t: Array, desired: Scalars, load: RealScalarLike, gain: RealScalarLike
+    loop: ClosedLoop, t: Array, x0: Scalars, desired: Scalars, load: RealScalarLike, gain: RealScalarLike
 ) -> RealScalarLike:
     """Where in the funnel a law of the user's balances a load, from the centre; at an edge if nowhere."""
     funnel, rest = loop.control.funnel, (0.0,) * (loop.order - 1)
@@ -98,7 +119,7 @@ def _balanced(
     def halved(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = 0.5 * (ends[0] + ends[1])
         deviation = funnel(t) * ratio(middle)
-        u = loop.command(t, (*rest, deviation + funnel.centre(t)), desired, deviation)
+        u = loop.command(t, x0, (*rest, deviation + funnel.centre(t)), desired, deviation)
         is_below = load + gain * u > 0.0
         return jnp.where(is_below, middle, ends[0]), jnp.where(is_below, ends[1], middle)
 

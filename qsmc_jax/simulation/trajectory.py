@@ -23,7 +23,9 @@ from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.model.consistency import require_consistent
+from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.recording import require_recorded
+from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.model.state_jumps import require_no_state_jumps
 from qsmc_jax.model.state_space import AbstractStateSpace, require_relative_degree
 from qsmc_jax.multivariable import MultivariableLoop, require_decoupling
@@ -332,20 +334,21 @@ def check_start(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: Any) -> None:
 
     Traced numbers pass.
     """
-    require_shape("x0", x0, (loop.states,), f"the plant has {_sized(loop)}")
+    states = loop.plant.states
+    require_shape("x0", x0, (states,), f"the plant has {_sized(loop)}")
     require_finite("x0", x0)
     require_positive("t1", t1)
     if loop.implementation is not None:
-        loop.implementation.check(loop.states, t1)
+        loop.implementation.check(states, t1)
     require_recorded(loop, t1)
     for each in loop.channels:
-        require_consistent(each.reference, each.order, t1)
+        if isinstance(each.reference, AbstractReference):
+            require_consistent(each.reference, each.order, t1)
         require_own_rates(each.control.funnel, t1)
 
 
 def _sized(loop: ClosedLoop | MultivariableLoop) -> str:
-    is_chain = isinstance(loop, ClosedLoop) and loop.states == loop.order
-    return f"order {loop.order}" if is_chain else f"{loop.states} states"
+    return f"order {loop.order}" if isinstance(loop.plant, AbstractPlant) else f"{loop.plant.states} states"
 
 
 def check_functions(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: Any) -> None:
@@ -354,7 +357,8 @@ def check_functions(loop: ClosedLoop | MultivariableLoop, x0: Any, t1: Any) -> N
     A plant must not jump in the state, and every function must be finite. A scenario alone is not asked: in a run of a
     study such things are an outcome, and it must be possible to look at it.
     """
-    require_no_state_jumps(loop.plant)
+    for body in loop.bodies:
+        require_no_state_jumps(body)
     require_finite_functions(loop, x0, t1)
     if isinstance(loop.plant, AbstractStateSpace):
         require_relative_degree(loop.plant, x0)

@@ -1,4 +1,4 @@
-"""The high-gain observer: its step against matrix exponentials, and output feedback against state feedback."""
+"""Estimators: their steps against matrix exponentials, and output feedback against state feedback."""
 
 import math
 
@@ -17,18 +17,31 @@ def observer(n, frequency):
     return qj.controllers.HighGainObserver(control, frequency)
 
 
+def matrix_of(kind, n, omega):
+    """The observer's, by its gains; the filter's, by the coefficients of (s + omega)^n."""
+    matrix = np.eye(n, k=1)
+    if kind is qj.controllers.HighGainObserver:
+        matrix[:, 0] -= [math.comb(n, i + 1) * omega ** (i + 1) for i in range(n)]
+    else:
+        matrix[-1] -= np.poly([-omega] * n)[:0:-1]
+    return matrix
+
+
+@pytest.mark.parametrize("kind", [qj.controllers.HighGainObserver, qj.controllers.StateVariableFilter])
 @pytest.mark.parametrize("n", SURFACES)
-@pytest.mark.parametrize("period", [1e-3, 0.3])
-def test_a_step_is_the_matrix_exponential(n, period):
+def test_steps_and_rates_are_those_of_the_matrix(n, kind):
     omega, e = 7.0, 0.4
     before = np.random.default_rng(n).normal(size=n)
-    matrix = np.eye(n, k=1)
-    matrix[:, 0] -= [math.comb(n, i + 1) * omega ** (i + 1) for i in range(n)]
+    matrix, made = matrix_of(kind, n, omega), kind(observer(n, omega).law, omega)
     rest = np.eye(n)[0] * e  # where it stays for a constant output
-    after = rest + scipy.linalg.expm(matrix * period) @ (before - rest)
+    sample = qj.Sample(0.0, 0.0, math.nan, 4.0, (0.0,) * (n + 1), errors=(e, *(math.nan,) * (n - 1)))
     with in_64_bits():
-        found = observer(n, omega).estimated(tuple(before), e, period)
-    np.testing.assert_allclose(np.array(found, float), after, rtol=1e-11, atol=1e-12)
+        for period in (1e-3, 0.3):
+            after = rest + scipy.linalg.expm(matrix * period) @ (before - rest)
+            found = made.estimated(tuple(before), e, period)
+            np.testing.assert_allclose(np.array(found, float), after, rtol=1e-11, atol=1e-12)
+        rates = made.memory_rates(sample, (1.0, *before))
+        np.testing.assert_allclose(np.array(rates, float), [0.0, *(matrix @ (before - rest))], rtol=1e-11, atol=1e-9)
 
 
 def test_it_starts_from_the_first_sample_and_its_law_is_given_estimates():

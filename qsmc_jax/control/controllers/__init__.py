@@ -8,8 +8,8 @@ A comparison is worth something on equal terms only. So each class makes its con
 that it is to be compared with, by a stated rule: the same slope at $\sigma = 0$, the same error at rest, or gains from
 a bound on what they have to overcome. Traced numbers will do.
 
-`HighGainObserver` gives any of them, or the quasi-sliding-mode law, estimates in place of measured errors; `Saturated`
-limits their input.
+`HighGainObserver` and `StateVariableFilter` give any of them, or the quasi-sliding-mode law, estimates in place of
+measured errors; `Saturated` limits their input.
 """
 
 from qsmc_jax.control.controllers.boundary_layer import BoundaryLayer as BoundaryLayer
@@ -19,4 +19,5 @@ from qsmc_jax.control.controllers.prescribed_performance import PrescribedPerfor
 from qsmc_jax.control.controllers.proportional_derivative import ProportionalDerivative as ProportionalDerivative
 from qsmc_jax.control.controllers.saturated import Saturated as Saturated
 from qsmc_jax.control.controllers.sign import Sign as Sign
+from qsmc_jax.control.controllers.state_variable_filter import StateVariableFilter as StateVariableFilter
 from qsmc_jax.control.controllers.super_twisting import SuperTwisting as SuperTwisting

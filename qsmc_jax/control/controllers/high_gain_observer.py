@@ -3,23 +3,22 @@
 import math
 from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.module import float_field
-from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.control.control import AbstractControl, Sample
-from qsmc_jax.control.controllers.wrapping import AbstractWrappingControl
+from qsmc_jax.control.control import AbstractControl
+from qsmc_jax.control.controllers.estimator import AbstractEstimator
 
 
-class HighGainObserver(AbstractWrappingControl):
+class HighGainObserver(AbstractEstimator):
     r"""Another law on errors that are estimated from the measured output alone.
 
     $\dot{\hat e}_i = \hat e_{i+1} + \binom{n}{i+1} \omega^{i+1} (e - \hat e_0)$, i = 0 ... n - 1, $\hat e_n = 0$: all
-    poles at $-\omega$. It starts from the first sample, $\hat e = (e, 0, \dots, 0)$, and takes the output as constant
-    over the period that has passed, which is solved exactly. As $\omega$ grows the loop comes to that with measured
-    errors, in proportion to $1 / \omega$; noise grows with $\omega^{n-1}$.
+    poles at $-\omega$. It starts from the first measurement, $\hat e = (e, 0, \dots, 0)$; in a sampled loop it takes
+    the output as constant over the period that has passed, which is solved exactly. As $\omega$ grows the loop comes to
+    that with measured errors, in proportion to $1 / \omega$; noise grows with $\omega^{n-1}$. At first estimates peak,
+    and a law that is made for the funnel may ask for very much: limit it, `Saturated(HighGainObserver(...), ...)`.
 
     Attributes:
         law: The law that is given the estimates.
@@ -46,37 +45,7 @@ class HighGainObserver(AbstractWrappingControl):
 
     positive: ClassVar[tuple[str, ...]] = ("frequency",)
 
-    def first_memory(self) -> Scalars:
-        """Whether there was a sample, the estimates, and what the law keeps."""
-        return (0.0, *(0.0,) * self.surface.order, *self.law.first_memory())
-
-    def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
-        n, measured = self.surface.order, sample.errors[0]
-        known = self.estimated(memory[1 : n + 1], measured, sample.period)
-        first = (measured, *(0.0,) * (n - 1))
-        estimates = tuple(jnp.where(memory[0] > 0.0, *each) for each in zip(known, first, strict=True))
-        given = sample._replace(errors=estimates, sigma=self.surface(estimates))
-        u, kept = self.law.command(given, memory[n + 1 :])
-        return u, (jnp.ones(()), *estimates, *kept)
-
-    def estimated(self, estimates: Scalars, measured: RealScalarLike, period: RealScalarLike) -> Scalars:
-        """The estimates one period later.
-
-        Args:
-            estimates: n scalars.
-            measured: The error of the output, as measured now.
-            period: Time that has passed [s].
-        """
-        # In units of 1 / omega the matrix has the one eigenvalue -1: its exponential is a finite sum.
-        n, x = len(estimates), self.frequency * period
+    def matrix(self, n: int) -> Float[np.ndarray, "n n"]:
         matrix = np.eye(n, k=1)
         matrix[:, 0] -= [math.comb(n, i + 1) for i in range(n)]
-        rest = matrix + np.eye(n)
-        powers = [np.linalg.matrix_power(rest, k) / math.factorial(k) for k in range(n)]
-        scaled = [each / self.frequency**i for i, each in enumerate((estimates[0] - measured, *estimates[1:]))]
-        moved = [
-            jnp.exp(-x) * sum(x**k * power[i, j] * scaled[j] for k, power in enumerate(powers) for j in range(n))
-            for i in range(n)
-        ]
-        found = [value * self.frequency**i for i, value in enumerate(moved)]
-        return (found[0] + measured, *found[1:])
+        return matrix

@@ -10,9 +10,10 @@ from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.controllers.wrapping import AbstractWrappingControl
+from qsmc_jax.control.dynamic_control import AbstractDynamicControl, memory_at_start, memory_rates
 
 
-class Saturated(AbstractWrappingControl):
+class Saturated(AbstractWrappingControl, AbstractDynamicControl):
     r"""Another law between two numbers, in continuous time too: $u = \operatorname{clip}(u_1, u_\min, u_\max)$.
 
     So the ideal loop tells what a limit alone does, without a sampling period. `Implementation.input_range` limits the
@@ -50,3 +51,9 @@ class Saturated(AbstractWrappingControl):
         # What the law would give beyond its edge is of no account: it is at its limit there.
         u, kept = self.law.command(sample._replace(beyond="saturate"), memory)
         return jnp.clip(u, self.input_range[0], self.input_range[1]), kept
+
+    def memory_at_start(self, sample: Sample) -> Scalars:
+        return memory_at_start(self.law, sample)
+
+    def memory_rates(self, sample: Sample, memory: Scalars) -> Scalars:
+        return memory_rates(self.law, sample, memory)

@@ -101,7 +101,7 @@ def _first_of_channel(problem: Problem, y0: Scalars) -> RunningMetrics:
     gain, errors = jnp.asarray(loop.control.gain_sign * loop.gain(zero, x0)), as_scalars(loop.errors(zero, x0))
     return RunningMetrics(
         errors=errors,
-        input=first_input(problem, loop.input_at(zero, errors, loop.desired(zero), s0), s0),
+        input=first_input(problem, loop.input_at(zero, x0, errors, loop.desired(zero, x0), s0), s0),
         peak=Peak(jnp.abs(s0), zero, as_scalars(y0)),
         outside=OutsideStep(zero, zero, Cubic(zero, zero, zero, zero)),
         unsettled=Span(zero, zero),
@@ -131,8 +131,8 @@ def _add_to_channel(problem: Problem, running: RunningMetrics, step: Step) -> Ru
     middle = problem.coordinates.funnel_coordinate(loop, step.t0 + 0.5 * h, step.middle)
     path = Quartic(s, middle)
     peak = _peak(problem, step, path)
-    end = loop.input_at(t1, right.errors, loop.desired(t1), s1), sinh1
     x1 = problem.coordinates.state_of(loop, t1, step.y1, right.errors)
+    end = loop.input_at(t1, x1, right.errors, loop.desired(t1, x1), s1), sinh1
     gain, disturbance = loop.control.gain_sign * loop.gain(t1, x1), jnp.abs(loop.disturbance(t1))
     return RunningMetrics(
         errors=as_scalars(right.errors),

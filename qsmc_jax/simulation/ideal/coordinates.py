@@ -115,9 +115,10 @@ class FunnelCoordinates(AbstractFunnelCoordinates):
         rho, rho_rate = control.funnel.width_and_rate(t)
         errors = _errors(loop, t, rho, y)
         cosh, desired = sinh_cosh(y[-1])[1], loop.desired(t)
-        balance = loop.balance(t, loop.state(errors, desired), errors, desired)
+        x = loop.state(errors, desired)
+        balance = loop.balance(t, x, errors, desired)
         _, centre_rate = control.funnel.centre_and_rate(t)
-        sigma_rate = balance.residual - centre_rate + balance.gain * loop.input_at(t, errors, desired, y[-1])
+        sigma_rate = balance.residual - centre_rate + balance.gain * loop.input_at(t, x, errors, desired, y[-1])
         return (*errors[1:], cosh * (0.5 * jnp.pi * sigma_rate - gd(y[-1]) * rho_rate) / rho)
 
     def errors(self, loop: ClosedLoop, t: RealScalarLike, y: State, dy: State) -> Scalars:

@@ -18,6 +18,7 @@ from qsmc_jax.simulation.ideal.accumulate import Running, RunningMetrics, add_st
 from qsmc_jax.simulation.ideal.step import Step
 from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
 from qsmc_jax.simulation.settings import INSTANT, SolverSettings, absolute_tolerance
+from qsmc_jax.simulation.stiffness import steepness
 from qsmc_jax.solvers.rosenbrock import Rosenbrock
 from qsmc_jax.solvers.tsit5 import Tsit5, derivative_at_start
 
@@ -160,17 +161,19 @@ def _decay(
     """By how much a deviation decays within a step [-], by its end; of several channels a bound of the fastest mode."""
     pairs = list(zip(problem.channels, end.channels, strict=True))
     if not isinstance(problem, JointProblem):
-        rate = _largest(_decay_rate(each, t1, last, jnp.abs(last.gain)) for each, last in pairs)
+        rate = _largest(_decay_rate(each, t1, y1, last, jnp.abs(last.gain)) for each, last in pairs)
         return jax.lax.stop_gradient((t1 - t0) * rate)
     # diag(a) B diag(b) is similar to diag(r) B diag(r) with r^2 = ab: no mode is faster than a row's sum.
-    roots = [jnp.sqrt(_decay_rate(each, t1, last, 1.0)) for each, last in pairs]
+    roots = [jnp.sqrt(_decay_rate(each, t1, y1, last, 1.0)) for each, last in pairs]
     rows = problem.loop.decoupling(t1, y1[: problem.loop.states])
     sums = (sum(jnp.abs(b) * root for b, root in zip(row, roots, strict=True)) for row in rows)
     rate = _largest(root * total for root, total in zip(roots, sums, strict=True))
     return jax.lax.stop_gradient((t1 - t0) * rate)
 
 
-def _decay_rate(problem: Problem, t1: RealScalarLike, end: RunningMetrics, gain: RealScalarLike) -> RealScalarLike:
+def _decay_rate(
+    problem: Problem, t1: RealScalarLike, y1: Scalars, end: RunningMetrics, gain: RealScalarLike
+) -> RealScalarLike:
     r"""The rate of that decay for a gain g: $|g| K \frac{\pi}{2\rho} \cosh 2s$ for s.
 
     For a law of the user's it is that of the sliding variable.
@@ -179,7 +182,8 @@ def _decay_rate(problem: Problem, t1: RealScalarLike, end: RunningMetrics, gain:
     if isinstance(law, QuasiSlidingControl):
         return gain * law.gain_at(t1) * (0.5 * jnp.pi) * (1.0 + 2.0 * end.input.sinh**2) / law.funnel(t1)
     deviation = law.surface(end.errors) - law.funnel.centre(t1)
-    return gain * problem.loop.steepness(t1, end.errors, problem.loop.desired(t1), deviation)
+    x1 = problem.coordinates.state(problem.loop, t1, y1)
+    return gain * steepness(problem.loop, t1, x1, end.errors, problem.loop.desired(t1, x1), deviation)
 
 
 _TERM = dfx.ODETerm(_field)

@@ -53,7 +53,7 @@ class LiftedCoordinates(AbstractLiftedCoordinates):
 
     def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
         x, s = tuple(y[:-1]), y[-1]
-        rates = loop.driven(t, x, loop.input_at(t, loop.errors(t, x), loop.desired(t), s))
+        rates = loop.driven(t, x, loop.input_at(t, x, loop.errors(t, x), loop.desired(t, x), s))
         return (*rates, funnel_rate(loop, t, x, s, rates))
 
 
@@ -72,7 +72,7 @@ class ChannelCoordinates(AbstractLiftedCoordinates):
         return tuple(y)
 
     def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
-        return loop.driven(t, tuple(y), loop.input_at(t, (), (), y[self.place(loop)]))
+        return loop.driven(t, tuple(y), loop.input_at(t, (), (), (), y[self.place(loop)]))
 
 
 def funnel_rate(loop: ClosedLoop, t: RealScalarLike, x: State, s: RealScalarLike, rates: Scalars) -> RealScalarLike:

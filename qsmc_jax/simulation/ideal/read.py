@@ -209,7 +209,7 @@ def _is_leaving(problem: Problem, final: FinalState, is_far: BoolScalarLike) -> 
     pushes_back = _pushes_back(loop, t, x) & _pushes_back(loop, t + instant, loop.coasted(t, x, instant))
     is_fast = (s * s_rate > 0.0) & (speed * instant > 1.0)
     # A run that the input holds at the edge until the gain is gone creeps there, at a speed that rounding decides.
-    soon, residual = _SOON * t, loop.balance(t, x, loop.errors(t, x), loop.desired(t)).residual
+    soon, residual = _SOON * t, loop.balance(t, x, loop.errors(t, x), loop.desired(t, x)).residual
     pull = residual - loop.control.funnel.centre_and_rate(t)[1]
     is_carried_out = (s * pull > 0.0) & (margin(s) * loop.control.funnel(t) <= jnp.abs(pull) * soon)
     leaves = (is_fast & ~pushes_back) | (is_carried_out & ~_pushes_back(loop, t + soon, loop.coasted(t, x, soon)))
@@ -225,12 +225,12 @@ def _knows_no_edge(loop: ClosedLoop, t: RealScalarLike, x: Scalars, side: RealSc
 
     One that has a pole there pushes back as hard as it takes, closer to the edge than it could be followed.
     """
-    errors, desired, funnel = loop.errors(t, x), loop.desired(t), loop.control.funnel
+    errors, desired, funnel = loop.errors(t, x), loop.desired(t, x), loop.control.funnel
     deviation = loop.control.surface(errors) - funnel.centre(t)
 
     def at(place: float) -> RealScalarLike:
         there = side * place * funnel(t)
-        return loop.command(t, (*errors[:-1], errors[-1] + there - deviation), desired, there)
+        return loop.command(t, x, (*errors[:-1], errors[-1] + there - deviation), desired, there)
 
     inputs = jnp.stack([at(1.0 + gap) for gap in _AROUND_EDGE])
     spread = jnp.max(inputs) - jnp.min(inputs)  # NaN where the law is not defined
@@ -292,7 +292,7 @@ def _comparison_bound(problem: Problem, peak: Peak, first_height: RealScalarLike
     if law is None:
         return jnp.full((), jnp.nan)
     x = problem.coordinates.state(loop, t, peak.y)
-    balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t))
+    balance = loop.balance(t, x, loop.errors(t, x), loop.desired(t, x))
     gain = jnp.where(balance.gain == 0.0, 1.0, balance.gain)
     at_peak = law.funnel.load(t, loop.plain(t, balance).residual) / jnp.abs(gain)
     bound = jnp.maximum(law.gain * sinh_cosh(first_height)[0], jnp.where(balance.gain == 0.0, jnp.inf, at_peak))

@@ -68,11 +68,12 @@ def ideal_signals(problem: AbstractProblem, t: RealScalarLike, y: Scalars) -> Si
 
 def _of_channel(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
     loop, coordinates = problem.loop, problem.coordinates
-    x, desired, rho = coordinates.state(loop, t, y), loop.desired(t), loop.control.funnel(t)
+    x, rho = coordinates.state(loop, t, y), loop.control.funnel(t)
+    desired = loop.desired(t, x)
     centre = loop.control.funnel.centre(t)
     s = coordinates.funnel_coordinate(loop, t, y)
     e = loop.errors(t, x)
-    balance, u = loop.balance(t, x, e, desired), loop.input_at(t, e, desired, s)
+    balance, u = loop.balance(t, x, e, desired), loop.input_at(t, x, e, desired, s)
     part, (d, w, g) = ratio(s), (balance.disturbance, balance.residual, balance.gain)
     return Signals(t, x, desired[:-1], e, rho * part + centre, rho, part, u, d, w, g)
 

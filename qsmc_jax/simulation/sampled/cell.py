@@ -153,7 +153,7 @@ class CellStep(AbstractStep):
 
 def sampled_signals(problem: Problem, now: LoopPoint, u: RealScalarLike) -> Signals:
     """All signals of a loop with an implementation at one instant, under the input u."""
-    desired = problem.loop.desired(now.t)[:-1]
+    desired = problem.loop.desired(now.t, now.x)[:-1]
     terms = now.terms
     return Signals(
         now.t, now.x, desired, now.errors, now.sigma, now.rho, now.ratio, u, terms.disturbance, now.residual, terms.gain

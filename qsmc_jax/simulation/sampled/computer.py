@@ -58,9 +58,10 @@ def sample(
     t = implementation.instant(k) if is_old else now.t
     funnel = loop.control.funnel
     rho, centre = (funnel(t), funnel.centre(t)) if is_old else (now.rho, now.centre)
-    desired = loop.desired(t)
+    desired = loop.desired(t, now.x)
     if is_old or not is_exact:
-        measured = implementation.measured(now.x, t, k)
+        # What runs beside the plant is the controller's own.
+        measured = (*implementation.measured(now.x[: loop.measured], t, k), *now.x[loop.measured :])
         errors = loop.errors(t, measured)
         sigma = loop.control.surface(errors)
     else:

@@ -18,7 +18,7 @@ from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
 from qsmc_jax.enclosures.unseen import Nodes, Step
 from qsmc_jax.implementation.implementation import Implementation
-from qsmc_jax.model.state_space import AbstractStateSpace
+from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.hermite import cubics
 from qsmc_jax.numerics.lockstep import any_lane
@@ -277,9 +277,9 @@ def _cross(constants: LoopConstants, state: LoopState, end: RealScalarLike) -> t
 def _local_error(constants: LoopConstants, cell: Cell, missed: Scalars, allowed: RealScalarLike) -> RealScalarLike:
     """The error in the sliding variable, and in each state of a plant in its own coordinates, over what is allowed."""
     loop, right = constants.problem.loop, cell.right
-    if not isinstance(loop.plant, AbstractStateSpace):
+    if isinstance(loop.plant, AbstractPlant):
         return loop.control.surface(tuple(map(jnp.abs, missed))) / allowed
-    in_errors = loop.plant.outputs_in_motion(right.t, right.x, missed, time=0.0)[1]
+    in_errors = jax.jvp(lambda *x: loop.errors(right.t, x), right.x, missed)[1]
     parts = [loop.control.surface(tuple(map(jnp.abs, in_errors))) / allowed]
     for a, b, wrong in zip(cell.left.x, right.x, missed, strict=True):
         size = jnp.maximum(jnp.abs(a), jnp.abs(b))

@@ -1,0 +1,100 @@
+"""Laws whose memory follows a differential equation, so that they run in continuous time too."""
+
+import abc
+
+from qsmc_jax.base.types import Scalars
+from qsmc_jax.control.control import AbstractControl, Sample
+
+
+class AbstractDynamicControl(AbstractControl):
+    r"""A controller with states of its own, $\dot m = \phi(t, m, \dots)$: an integral, a filter, an observer.
+
+    In the ideal loop these follow the plant's in `x`; a start `x0` is the plant's alone. There a `Sample` has exact
+    errors and period 0, and of what `command` returns the memory is of no account. In a loop with an `Implementation`
+    it is as for any law: `first_memory`, and what `command` keeps.
+
+    Examples:
+        A linear law with an integral of the error, which leaves none under a constant load:
+
+        >>> from typing import ClassVar
+        >>> import jax.numpy as jnp
+        >>> import qsmc_jax as qj
+        >>> class Integral(qj.AbstractDynamicControl):
+        ...     surface: qj.SlidingSurface
+        ...     funnel: qj.AbstractFunnel
+        ...     gain_sign: float = 1.0
+        ...     positive: ClassVar[tuple[str, ...]] = ()
+        ...     def first_memory(self):
+        ...         return (jnp.zeros(()),)
+        ...     def command(self, sample, memory):
+        ...         kept = memory[0] + sample.period * sample.errors[0]
+        ...         return -5.0 * sample.errors[0] - 10.0 * memory[0], (kept,)
+        ...     def memory_at_start(self, sample):
+        ...         return (0.0,)
+        ...     def memory_rates(self, sample, memory):
+        ...         return (sample.errors[0],)
+        >>> class Motor(qj.AbstractPlant):
+        ...     order = 1
+        ...     def drift(self, t, x):
+        ...         return 2.0 - x[0]
+        ...     def gain(self, t, x):
+        ...         return 1.0
+        >>> law = Integral(qj.SlidingSurface([]), qj.Funnel(rho0=4.0, mu=1.0, rho_inf=0.5))
+        >>> loop = qj.ClosedLoop(Motor(), qj.references.Constant(1.0), qj.disturbances.Zero(), law)
+        >>> run = qj.simulate(loop, [0.0], t1=8.0)
+        >>> run.verdict.name, run.x[-1].round(3).tolist()  # the speed, and the integral
+        ('HELD', [1.0, -0.1])
+    """
+
+    @abc.abstractmethod
+    def memory_at_start(self, sample: Sample) -> Scalars:
+        """The memory at time 0 of the ideal loop, as many scalars as `first_memory` has.
+
+        Args:
+            sample: What it is given then.
+        """
+
+    @abc.abstractmethod
+    def memory_rates(self, sample: Sample, memory: Scalars) -> Scalars:
+        """The rates of the memory in the ideal loop, as many scalars; smooth functions of the sample and the memory.
+
+        Args:
+            sample: What it is given.
+            memory: The memory.
+        """
+
+
+def is_continuous(law: AbstractControl) -> bool:
+    """Whether a law runs in continuous time: a smooth one without memory, or with one that has rates.
+
+    Args:
+        law: The law.
+    """
+    return law.has_derivative and _has_rates(law)
+
+
+def _has_rates(law: AbstractControl) -> bool:
+    """Whether what a law keeps, and the laws that it is made of, has rates."""
+    is_known = isinstance(law, AbstractDynamicControl) or len(law.first_memory()) == 0
+    return is_known and all(map(_has_rates, law.inner_laws))
+
+
+def memory_at_start(law: AbstractControl, sample: Sample) -> Scalars:
+    """The memory of any law at time 0 of the ideal loop; none if it has none.
+
+    Args:
+        law: The law.
+        sample: What it is given then.
+    """
+    return law.memory_at_start(sample) if isinstance(law, AbstractDynamicControl) else ()
+
+
+def memory_rates(law: AbstractControl, sample: Sample, memory: Scalars) -> Scalars:
+    """The rates of the memory of any law in the ideal loop; none if it has none.
+
+    Args:
+        law: The law.
+        sample: What it is given.
+        memory: The memory.
+    """
+    return law.memory_rates(sample, memory) if isinstance(law, AbstractDynamicControl) else ()
