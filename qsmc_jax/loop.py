@@ -85,8 +85,8 @@ class ClosedLoop(AbstractModule):
             require_derivatives(self.reference, order)
         require(
             self.implementation is not None or is_continuous(self.control),
-            f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches, or "
-            "has a memory without rates, can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
+            f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches or "
+            "has a memory without rates can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
         )
         self._require_fitting_implementation()
 

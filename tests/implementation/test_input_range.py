@@ -54,6 +54,7 @@ def test_an_input_that_only_pulls_cannot_hold_what_pulls_the_same_way(sign):
     assert time == pytest.approx(math.exp(-2.0 * time) + 0.1, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_range_that_is_drawn_is_known_run_by_run():
     def scenario(draw):
         high = draw.uniform("high", -0.5, 1.0)

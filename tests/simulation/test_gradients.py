@@ -117,6 +117,7 @@ def test_gradient_of_one_run_is_the_central_difference(program, gain):
     assert float(gradient[gain]) == pytest.approx(float(up - down) / 2e-4, abs=1e-8, rel=0)
 
 
+@pytest.mark.slow
 def test_gradient_of_a_violated_run_is_finite(program):
     (value, (verdict, _)), gradient = program(GAINS, -1.0, DEFAULT)
     assert verdict == qj.Verdict.VIOLATED

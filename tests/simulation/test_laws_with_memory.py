@@ -67,6 +67,7 @@ def test_an_integral_is_the_closed_form():
     assert run.verdict is qj.Verdict.HELD
 
 
+@pytest.mark.slow
 def test_in_a_sampled_loop_its_memory_is_not_a_state():
     loop = integral_loop()
     sampled = qj.ClosedLoop(loop.plant, REST, loop.disturbance, loop.control, qj.Implementation(1e-4))
@@ -82,6 +83,7 @@ def output_feedback(kind, omega, limit):
     return qj.ClosedLoop(example.plant, example.reference, example.disturbance, law)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["HighGainObserver", "StateVariableFilter"])
 def test_output_feedback_in_continuous_time_is_scipys(kind):
     """The law is at its limit at first, for the estimates start at rest: both sides of it are run through."""
@@ -168,6 +170,7 @@ def scenario(draw):
     return qj.Scenario(qj.ClosedLoop(Integrator(G), REST, load, law), x0=[0.5], t1=T1)
 
 
+@pytest.mark.slow
 def test_a_study_sees_the_memory():
     """At rest the integral holds the load: q m = d / g."""
     wanted = {"held": qj.eventually(lambda s: 0.02 - jnp.abs(2.0 * s.u + s.d), after=5.0)}

@@ -106,6 +106,7 @@ def test_both_channels_are_what_scipy_makes_of_them(matrix, coupling, is_scaled)
     np.testing.assert_allclose(run.sigma[-1] / run.rho[-1], z[:, -1], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_channels_that_do_not_touch_are_scalar_runs():
     loop, x0, tight = pair([[2.0, 0.0], [0.0, 0.7]]), [1.5, -0.8], qj.SolverSettings(rtol=1e-11, method="rodas5p")
     run = qj.simulate(loop, x0, T1, settings=tight, bandwidth=(0.5, 0.7))

@@ -90,6 +90,7 @@ def test_broken_premise_is_inadmissible_not_violated(spread):
     assert runs.counts()[qj.Verdict.VIOLATED] == 0
 
 
+@pytest.mark.slow
 def test_broken_c2_is_inadmissible_for_the_claims_that_need_it():
     runs = qj.monte_carlo(narrowing(0.05).substitute(rho_inf_spread=0.1), 64, block=64)
     rho_inf = 0.05 + 0.1 * runs["rho_inf_offset"]

@@ -108,6 +108,7 @@ def linear(t, k, d, x0=0.5):
     return d / (G * k) + (x0 - d / (G * k)) * np.exp(-G * k * t)
 
 
+@pytest.mark.slow
 def test_a_linear_law_has_its_closed_form():
     k, d = 1.5, 0.25
     wide = qj.Funnel(1.0, 1.0, 0.15)
@@ -196,6 +197,7 @@ def test_the_gain_must_be_positive():
         qj.QuasiSlidingControl(SURFACE, FUNNEL, 1.0, 1.0, math.inf)
 
 
+@pytest.mark.slow
 def test_a_saturated_law_holds_what_its_limit_can_hold():
     """At rest K tan(pi z / 2) = d / g as long as that is below the limit; started at it, x moves at d - g u_max."""
     law = qj.controllers.Saturated(qj.QuasiSlidingControl(SURFACE, FUNNEL), (-1.0, 1.0))

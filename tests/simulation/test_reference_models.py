@@ -106,6 +106,7 @@ def test_a_slave_follows_its_master_as_scipy_has_it():
     assert float(run.metrics.peak_ratio) == pytest.approx(peak, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plant_of_order_4_in_its_own_coordinates_follows_one_too():
     """Against SciPy, the derivatives of the output by hand."""
     surface, funnel = qj.SlidingSurface.binomial(2.0, 4), qj.Funnel(30.0, 1.0, 0.5)
@@ -213,6 +214,7 @@ MEETS = {"near": qj.always(lambda s: 1.9 - jnp.abs(s.x[2]), unit="rad")}
 STUDY = qj.Study(scenario, bandwidth=0.1, requirements=MEETS)
 
 
+@pytest.mark.slow
 def test_a_study_draws_where_it_starts_and_replays_it():
     rows = qj.monte_carlo(STUDY, 64, block=64)
     assert (rows["verdict"] == qj.Verdict.HELD).all()
@@ -300,6 +302,7 @@ def scalar():
     return qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL)
 
 
+@pytest.mark.slow
 def test_studies_of_two_models_are_two():
     """Programs and campaigns are kept by what functions compute: a model's is part of it."""
 

@@ -93,6 +93,7 @@ def test_an_unstable_drift():
     known(Case(level=1e-9, push_out=50.0, x0=(0.0,)), "tsit5", "HELD", peak_u=48.787)
 
 
+@pytest.mark.slow
 def test_a_wide_funnel():
     known(Case(funnel=(1e9, 3.0, 1e6), x0=(5e8,)), "auto", "HELD")
 

@@ -171,6 +171,7 @@ def test_a_study_whose_numbers_changed_gives_no_verdict(scenario, name, value, i
         qj.robustness_map(study.substitute(x0=[0.1]), over={"x0": [0.1, 0.2]}, runs=64)
 
 
+@pytest.mark.slow
 def test_nor_is_a_program_compiled_for_it():
     """One that is there is of the old numbers; another one would be of the new."""
     study = qj.Study(by_number, bandwidth=0.2)

@@ -84,6 +84,7 @@ def test_rows_solved_in_any_order_come_back_in_their_own():
     np.testing.assert_array_equal(runs["cost"], np.arange(100) / 3.0)
 
 
+@pytest.mark.slow
 def test_windows_come_in_order_and_whole():
     tables = list(qj.stream(STUDY, range(64 * FIRST_WINDOW + 70), seed=5, block=64))
     assert [len(table) for table in tables] == [64 * FIRST_WINDOW, 70]

@@ -98,6 +98,7 @@ def test_a_replay_is_its_run_where_the_scenario_makes_functions():
         assert float(run.loop.desired(0.5)[0]) == pytest.approx(row["amplitude"] * math.sin(1.5))
 
 
+@pytest.mark.slow
 def test_other_numbers_compile_nothing():
     compiled = []
 
