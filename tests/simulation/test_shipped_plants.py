@@ -101,3 +101,53 @@ def test_a_two_link_arm_is_what_scipy_makes_of_its_inertia():
     for i in range(2):
         assert float(run.metrics.channels[f"peak_ratio[{i}]"]) == pytest.approx(peaks[i], rel=1e-6)
     np.testing.assert_allclose(run.x[-1], x[:, -1], atol=1e-6)
+
+
+COLD_AND_EAGER = {"damkoehler": 0.079, "heat": 8.3, "conversion_0": 0.2, "temperature_0": 0.6}
+
+
+def reactor(**values):
+    """A reactor's nominal run with some numbers given, and by SciPy: times, ratios, inputs, final state."""
+    study = runpy.run_path(str(places.STUDIES / "cstr.py"))["study"].substitute(**values)
+    scenario = study.nominal
+    plant, feed, limits = scenario.loop.plant, scenario.loop.disturbance, scenario.loop.control.input_range
+    speed, heat = float(plant.damkoehler), float(plant.heat)
+    size, frequency, phase = (float(getattr(feed, name)) for name in ("amplitude", "frequency", "phase"))
+
+    def ratio(t, x):
+        return (x[1] - 2.75) / (2.5 * np.exp(-0.3 * t) + 0.3)
+
+    def coolant(t, x):
+        return np.clip(-0.5 - np.tan(0.5 * np.pi * np.clip(ratio(t, x), -1.0, 1.0)), *limits)
+
+    def rate(t, x):
+        turned = speed * (1.0 - x[0]) * math.exp(20.0 * x[1] / (20.0 + x[1]))
+        feed_is_off = size * math.sin(frequency * t + phase)
+        return [turned - x[0], heat * turned - x[1] + feed_is_off - 0.3 * (x[1] - coolant(t, x))]
+
+    # The middle state is unstable: what a solve is off by grows, at the default tolerance to 2e-5.
+    settings = qj.SolverSettings(rtol=1e-8)
+    run = qj.simulate(scenario.loop, scenario.x0, scenario.t1, bandwidth=study.bandwidth, settings=settings)
+    # Steps so short that a limit's kink costs them less than their tolerance.
+    ts, x = solved(rate, scenario, longest=0.01)
+    return run, ts, ratio(ts, x), coolant(ts, x), x[:, -1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("values", "met"), [({}, 0), (COLD_AND_EAGER, 2)], ids=["neither", "both"])
+def test_a_reactor_that_meets_so_many_of_its_coolant_s_limits_is_what_scipy_makes_of_it(values, met):
+    run, _, ratios, u, end = reactor(**values)
+    assert np.sum([np.any(u == -3.0), np.any(u == 1.75)]) == met
+    assert run.verdict is qj.Verdict.HELD
+    assert float(run.metrics.peak_ratio) == pytest.approx(np.max(np.abs(ratios)), rel=1e-6)
+    np.testing.assert_allclose(run.x[-1], end, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_reactor_that_runs_away_leaves_its_funnel_when_scipy_s_does():
+    run, ts, ratios, u, _ = reactor(**COLD_AND_EAGER, coldest=-2.5)
+    first = int(np.argmax(ratios >= 1.0))
+    leaves = np.interp(1.0, ratios[first - 1 : first + 1], ts[first - 1 : first + 1])
+    assert u[first - 1] == -2.5
+    assert run.verdict is qj.Verdict.VIOLATED
+    assert float(run.metrics.violation_time) == pytest.approx(leaves, rel=1e-6)
