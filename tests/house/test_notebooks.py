@@ -54,8 +54,8 @@ def draws(cell):
     return re.search(r"\.plot\w*\(|\.subplots\(|interact\(", cell.source) is not None
 
 
-def test_there_are_five_notebooks_each_in_both_forms():
-    assert [path.stem[:2] for path in NOTEBOOKS] == ["01", "02", "03", "04", "05"]
+def test_there_are_six_notebooks_each_in_both_forms():
+    assert [path.stem[:2] for path in NOTEBOOKS] == ["01", "02", "03", "04", "05", "06"]
     assert sorted(p.stem for p in (ROOT / "notebooks").glob("*.ipynb")) == [p.stem for p in NOTEBOOKS]
 
 
