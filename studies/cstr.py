@@ -61,7 +61,7 @@ def scenario(draw: qj.Draw) -> qj.Scenario:
     coldest = draw.parameter("coldest", -3.0, bounds=(-20.0, -0.5))
     hottest = draw.parameter("hottest", 1.75, bounds=(0.5, 20.0))
     limits = jnp.stack([coldest, hottest])
-    control = qj.controllers.Saturated(law, input_range=limits)  # pyright: ignore[reportCallIssue]  # takes the law's
+    control = qj.controllers.Saturated(law, input_range=limits)
     feed = qj.disturbances.random_sine(draw, "feed", 0.1, (0.3, 3.0))
     loop = qj.ClosedLoop(plant, qj.references.Constant(2.75), feed, control)
     start = draw.uniform("conversion_0", 0.2, 0.4), draw.uniform("temperature_0", 0.5, 2.0)

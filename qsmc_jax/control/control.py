@@ -17,7 +17,7 @@ from qsmc_jax.control.surface import SlidingSurface
 Beyond: TypeAlias = Literal["saturate", "wrap"]
 
 # How near to its edge a law with a pole there is evaluated at most: the quasi-sliding-mode law then gives 6.4e8.
-_EDGE = 1e-9
+EDGE = 1e-9
 
 
 class Sample(NamedTuple):
@@ -61,8 +61,13 @@ class Sample(NamedTuple):
         deviation = self.sigma - self.centre
         if self.beyond == "wrap":
             return deviation
-        edge = (1.0 - _EDGE) * self.rho
+        edge = (1.0 - EDGE) * self.rho
         return jnp.clip(deviation, -edge, edge)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is one of the ideal loop."""
+        return isinstance(self.period, float) and self.period == 0.0
 
 
 class AbstractControl(AbstractModule):

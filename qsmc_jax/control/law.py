@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from qsmc_jax.base.checks import require_finite
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.control.control import EDGE, AbstractControl, Sample
 from qsmc_jax.control.funnel import AbstractFunnel
 from qsmc_jax.control.surface import SlidingSurface
 from qsmc_jax.numerics.gudermann import sinh_cosh, tan_half_pi
@@ -85,7 +85,11 @@ class QuasiSlidingControl(AbstractControl):
     def command(self, sample: Sample, memory: Scalars) -> tuple[RealScalarLike, Scalars]:
         if sample.beyond == "wrap":
             return self._input(jnp.tan(0.5 * math.pi * sample.inside() / sample.rho), sample.rho), ()
-        return self(sample.inside(), sample.rho), ()
+        if not sample.is_exact:
+            return self(sample.inside(), sample.rho), ()
+        # By one number, which is inside for certain: of sigma and rho an enclosure does not know that they go together.
+        place = jnp.clip((sample.sigma - sample.centre) / sample.rho, EDGE - 1.0, 1.0 - EDGE)
+        return self._input(tan_half_pi(place, 1.0), sample.rho), ()
 
     def _input(self, tangent: RealScalarLike, rho: RealScalarLike) -> Float[Array, ""]:
         gain = self.gain / rho if self.is_scaled else self.gain

@@ -88,7 +88,7 @@ def _wave(rounding: Rounding, a: Interval, function: Callable[[Any], Any], crest
 def _meets(a: Interval, turns: float) -> Any:
     """Whether an angle equal to `turns` full turns, and any number more, lies in the interval; yes in doubt."""
     low, high = (end / (2.0 * math.pi) - turns for end in a)
-    slack = 1e-9 + 1e-15 * (jnp.abs(low) + jnp.abs(high))
+    slack = 1e-15 * (1.0 + jnp.abs(low) + jnp.abs(high))  # some four units in the last place
     return ~(jnp.floor(high + slack) < jnp.ceil(low - slack))
 
 

@@ -36,7 +36,8 @@ class Outcome(enum.IntEnum):
 _ADVICE = {
     Outcome.COMPLETED: "Solved to the end of the horizon.",
     Outcome.LEFT_FUNNEL: "The sliding variable reached the funnel's edge where the input does not push back: look at "
-    "`least_gain` (a wrong `gain_sign`, or a gain that vanishes) for the broken premise; or the reference jumped.",
+    "`least_gain` (a wrong `gain_sign`, or a gain that vanishes) for the broken premise; or a law was at its limit, "
+    "or the reference jumped.",
     Outcome.STARTED_OUTSIDE: "The start is not inside the funnel, |sigma(0)| >= rho(0): enlarge `rho0` or move `x0`.",
     Outcome.BAD_PARAMETERS: "A drawn parameter breaks a premise: rho0, mu and rho_inf must be positive, and the "
     "surface Hurwitz; or a distribution has arguments out of range in this run, such as `low` not below `high`.",

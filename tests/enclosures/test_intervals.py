@@ -254,6 +254,16 @@ def test_a_tangent_has_a_pole_in_every_half_turn(turns):
     assert tuple(map(float, found)) == pytest.approx((np.tan(pole + 0.1), np.tan(pole + 0.3)), rel=1e-9)
 
 
+def test_a_tangent_is_known_as_near_to_its_pole_as_laws_go():
+    """A law held at a billionth of the funnel from its edge is one number there, and next to it no pole."""
+    edge = 0.5 * np.pi * (1.0 - 1e-9)
+    (found,) = enclose(jnp.tan, Interval(jnp.asarray(edge), jnp.asarray(edge))).values
+    assert tuple(map(float, found)) == pytest.approx((2e9 / np.pi,) * 2, rel=1e-6)
+    pole = 0.5 * np.pi
+    around = Interval(jnp.asarray(np.nextafter(pole, 0.0)), jnp.asarray(np.nextafter(pole, 2.0)))
+    assert tuple(map(float, enclose(jnp.tan, around).values[0])) == (-np.inf, np.inf)
+
+
 VECTORS = {
     "interval first": lambda t: jnp.dot(jnp.stack([t, 2.0 * t]), jnp.array([1.0, -3.0])),
     "interval last": lambda t: jnp.dot(jnp.array([1.0, -3.0]), jnp.stack([t, 2.0 * t])),

@@ -212,6 +212,16 @@ def test_a_saturated_law_holds_what_its_limit_can_hold():
     assert float(np.nanmax(np.abs(left.u))) == 1.0
 
 
+@pytest.mark.slow
+def test_an_input_goes_as_far_as_its_limits_and_no_farther():
+    """The load passes for a while what the limit can hold, and each time the loop recovers: u has kinks there."""
+    limited = qj.controllers.Saturated(qj.QuasiSlidingControl(SURFACE, FUNNEL), (-0.7, 0.72))
+    held = run_of(qj.controllers.StateVariableFilter(limited, 500.0), qj.disturbances.Sine(1.5, 8.0))
+    assert held.verdict is qj.Verdict.HELD
+    assert (float(held.metrics.min_u), float(held.metrics.max_u)) == (-0.7, 0.72)
+    assert float(held.metrics.peak_u) == 0.72
+
+
 def test_what_a_law_is_made_of_must_be_fit_too():
     limited = qj.controllers.Saturated(qj.controllers.Sign(SURFACE, FUNNEL, 1.0), (-1.0, 1.0))
     with pytest.raises(qj.InputError, match="`implementation` must be given for a `Saturated`"):

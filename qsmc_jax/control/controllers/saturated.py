@@ -1,14 +1,16 @@
 """A law whose input is limited."""
 
-from typing import ClassVar
+import math
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require_range
-from qsmc_jax.base.module import float_field
+from qsmc_jax.base.module import as_float64, float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.control.controllers.estimator import AbstractEstimator
 from qsmc_jax.control.controllers.wrapping import AbstractWrappingControl
 from qsmc_jax.control.dynamic_control import AbstractDynamicControl, memory_at_start, memory_rates
 
@@ -36,6 +38,10 @@ class Saturated(AbstractWrappingControl, AbstractDynamicControl):
 
     positive: ClassVar[tuple[str, ...]] = ("room",)
 
+    # Written out for type checkers, which would take what is the law's own for arguments.
+    def __init__(self, law: AbstractControl, input_range: Any):
+        self.law, self.input_range = law, as_float64(input_range)
+
     def __check_init__(self):
         require_range("input_range", self.input_range)
 
@@ -57,3 +63,15 @@ class Saturated(AbstractWrappingControl, AbstractDynamicControl):
 
     def memory_rates(self, sample: Sample, memory: Scalars) -> Scalars:
         return memory_rates(self.law, sample, memory)
+
+
+def limits_of(law: AbstractControl) -> tuple[RealScalarLike, RealScalarLike]:
+    """Between which numbers the input of any law lies for certain; infinite ones if none are known.
+
+    Args:
+        law: The law.
+    """
+    if isinstance(law, Saturated):
+        return law.input_range[0], law.input_range[1]
+    # An estimator hands on what the law inside gives.
+    return limits_of(law.law) if isinstance(law, AbstractEstimator) else (-math.inf, math.inf)

@@ -1,7 +1,8 @@
 """The input of the ideal loop inside the steps: its extremes, its variation and its energy.
 
 Under the paper's law it is monotone in the funnel coordinate s, whose extremes and turning points in a step are known.
-What another law, or the scaled one, does in a step is read off the quartic through five instants of it.
+What another law, or the scaled one, does in a step is read off the quartic through five instants of it, within the
+law's limits if it has any: there it has kinks, past which a quartic shoots.
 """
 
 import itertools as it
@@ -12,6 +13,7 @@ import numpy as np
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.control.control import AbstractControl
+from qsmc_jax.control.controllers.saturated import limits_of
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.numerics.gudermann import sinh_cosh
 from qsmc_jax.numerics.hermite import Cubic, Quartic
@@ -81,7 +83,7 @@ def add_input(
         mean_square = _LOBATTO_END * (running.u**2 + u1**2) + _LOBATTO_INNER * inner
     else:
         us = jnp.stack([running.u, *(step.at(float(theta)).u for theta in _FIVE[1:-1]), u1])
-        along = us @ _AT_PLACES
+        along = jnp.clip(us @ _AT_PLACES, *limits_of(problem.loop.control))
         low, high, variation = jnp.min(along), jnp.max(along), jnp.sum(jnp.abs(jnp.diff(along)))
         mean_square = us**2 @ _FIVE_WEIGHTS
     low, high = jnp.minimum(running.low, low), jnp.maximum(running.high, high)
