@@ -33,6 +33,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 mpl.use("agg")
 
 _DAYS_KEPT = 3
+_QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
 
 # As the program does: tracing makes many objects that stay, and looking through them each 700 new ones takes its time.
 gc.set_threshold(50_000)
@@ -42,13 +43,14 @@ def pytest_configure(config):
     """Before anything imports the package: from here on beartype checks every call against its annotations.
 
     Not for the slow tests alone, which it would make a quarter slower: what they call, the default ones call too. These
-    in turn have XLA write kernels in the older of its two ways: the same numbers but for rounding, less time to compile
-    and more to run. Slow tests, and all where `XLA_FLAGS` is set, if to nothing, compile as users do.
+    in turn have XLA write kernels in the older of its two ways and optimise little: the same numbers but for rounding,
+    less time to compile and more to run. Slow tests, and all where `XLA_FLAGS` is set, if to nothing, compile as users
+    do.
     """
     if config.option.markexpr != "slow":
         jaxtyping.install_import_hook("qsmc_jax", "beartype.beartype")
         if jax.__version_info__ < (0, 11):  # XLA aborts where it does not know a flag
-            os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+            os.environ.setdefault("XLA_FLAGS", _QUICK_TO_COMPILE)
     if not hasattr(config, "workerinput"):
         _forget_old_programs()
 
