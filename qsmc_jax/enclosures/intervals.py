@@ -127,11 +127,9 @@ def divide(rounding: Rounding, a: Enclosed, b: Enclosed, **_: Any) -> Interval:
     b = interval(b)
     has_zero = (b.lo <= 0.0) & (b.hi >= 0.0)
     safe = Interval(jnp.where(has_zero, 1.0, b.lo), jnp.where(has_zero, 1.0, b.hi))
-    # Of the four quotients of ends the least and the largest, which the signs tell.
-    a, is_positive = interval(a), safe.lo > 0.0
-    least, most = jnp.where(is_positive, a.lo, a.hi), jnp.where(is_positive, a.hi, a.lo)
-    low = least / jnp.where(least >= 0.0, safe.hi, safe.lo)
-    high = most / jnp.where(most >= 0.0, safe.lo, safe.hi)
+    a = interval(a)
+    ends = [p / q for p in a for q in safe]
+    low, high = ft.reduce(jnp.minimum, ends), ft.reduce(jnp.maximum, ends)
     return rounding(Interval(jnp.where(has_zero, -jnp.inf, low), jnp.where(has_zero, jnp.inf, high)))
 
 
