@@ -43,7 +43,7 @@ class AbstractDynamicControl(AbstractControl):
         >>> loop = qj.ClosedLoop(Motor(), qj.references.Constant(1.0), qj.disturbances.Zero(), law)
         >>> run = qj.simulate(loop, [0.0], t1=8.0)
         >>> run.verdict.name, run.x[-1].round(3).tolist()  # the speed, and the integral
-        ('HELD', [1.0, -0.1])
+        ('HELD', [1.0, 0.1])
     """
 
     @abc.abstractmethod
