@@ -12,7 +12,7 @@ from qsmc_jax.base.module import AbstractModule, require_fields
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.channel import Channel
 from qsmc_jax.control.control import AbstractControl
-from qsmc_jax.control.dynamic_control import is_continuous
+from qsmc_jax.control.dynamic_control import is_continuous, require_memory
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.model.consistency import require_derivatives
@@ -88,6 +88,8 @@ class ClosedLoop(AbstractModule):
             f"Argument `implementation` must be given for a `{type(self.control).__name__}`: a law that switches or "
             "has a memory without rates can't be solved without one. `Implementation(sample_period=1e-3)` will do.",
         )
+        if self.implementation is None and len(self.control.first_memory()):
+            require_memory(self.control)
         self._require_fitting_implementation()
 
     def _require_fitting_implementation(self) -> None:
@@ -132,14 +134,14 @@ class ClosedLoop(AbstractModule):
         assert isinstance(self.plant, AbstractPlant | AbstractStateSpace)
         return (self.plant,) if isinstance(self.reference, AbstractReference) else (self.plant, self.reference)
 
-    def start(self, x0: State) -> Scalars:
+    def start(self, x0: Any) -> Scalars:
         """The start of all its states, from that of the plant's.
 
         Args:
             x0: The start of the plant, a number for each of its states.
         """
-        plant = self.whole.plant
-        return plant.start(x0) if isinstance(plant, Accompanied) else tuple(x0)
+        plant, own = self.whole.plant, tuple(x0[i] for i in range(self.plant.states))
+        return plant.start(own) if isinstance(plant, Accompanied) else own
 
     @property
     def states(self) -> int:

@@ -16,6 +16,7 @@ from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
+from qsmc_jax.model.reference_model import AbstractReferenceModel
 from qsmc_jax.model.references import AbstractReference
 from qsmc_jax.model.state_space import AbstractStateSpace
 
@@ -77,6 +78,8 @@ class MultivariableLoop(AbstractModule):
             is_tuple = isinstance(given, tuple) and len(given) == m
             found = f"{len(given)} entries" if isinstance(given, tuple) else f"a `{type(given).__name__}`"
             require(is_tuple, f"Argument `{name}` must be a tuple with one for each of the {m} inputs, but is {found}.")
+            is_model = any(isinstance(each, AbstractReferenceModel) for each in given)
+            require(not is_model, f"Argument `{name}` must have no reference model, which is for loops with one input.")
             for i, each in enumerate(given):
                 require_kind(f"{name}[{i}]", each, kind, kind.hint)
         _ = self.channels  # each checks its surface and its reference
@@ -103,13 +106,13 @@ class MultivariableLoop(AbstractModule):
         """What has states: the plant."""
         return (self.plant,)
 
-    def start(self, x0: State) -> Scalars:
+    def start(self, x0: Any) -> Scalars:
         """The start of all its states: that of the plant's.
 
         Args:
             x0: The start of the plant, N numbers.
         """
-        return tuple(x0)
+        return tuple(x0[i] for i in range(self.states))
 
     @property
     def states(self) -> int:

@@ -1,9 +1,14 @@
 """Laws whose memory follows a differential equation, so that they run in continuous time too."""
 
 import abc
+from typing import Any
 
+import jax
+
+from qsmc_jax.base.checks import require
 from qsmc_jax.base.types import Scalars
 from qsmc_jax.control.control import AbstractControl, Sample
+from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
 
 
 class AbstractDynamicControl(AbstractControl):
@@ -77,6 +82,28 @@ def _has_rates(law: AbstractControl) -> bool:
     """Whether what a law keeps, and the laws that it is made of, has rates."""
     is_known = isinstance(law, AbstractDynamicControl) or len(law.first_memory()) == 0
     return is_known and all(map(_has_rates, law.inner_laws))
+
+
+@once_per_structure
+def require_memory(law: AbstractControl) -> None:
+    """Raises unless start and rates of a law's memory are as many numbers as its `first_memory`."""
+    number = jax.ShapeDtypeStruct((), float)
+    order, count = law.surface.order, len(law.first_memory())
+
+    def start(law: AbstractControl, t: Any, sigma: Any, desired: Scalars, errors: Scalars, memory: Scalars) -> Scalars:
+        return tuple(memory_at_start(law, law.exact_sample(t, errors, desired, sigma)))
+
+    def rates(law: AbstractControl, t: Any, sigma: Any, desired: Scalars, errors: Scalars, memory: Scalars) -> Scalars:
+        return tuple(memory_rates(law, law.exact_sample(t, errors, desired, sigma), memory))
+
+    given = number, number, (number,) * (order + 1), (number,) * order, (number,) * count
+    for method, call in {"memory_at_start": start, "memory_rates": rates}.items():
+        name = f"`{method}` of `{type(law).__name__}`"
+        _, result = trace(name, "a sample, and a memory", law, call, *given)
+        require(
+            len(result) == count and all(map(is_number, result)),
+            f"{name} must return {count} numbers, as `first_memory` does, but returns {described(result)}.",
+        )
 
 
 def memory_at_start(law: AbstractControl, sample: Sample) -> Scalars:

@@ -12,8 +12,8 @@ from qsmc_jax.base.checks import require, require_finite, require_shape
 from qsmc_jax.base.module import AbstractModule, require_fields
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.model.kinks import as_times
-from qsmc_jax.model.state_space import along_rates
-from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, require_number, trace
+from qsmc_jax.model.state_space import derivatives_along, is_list_of
+from qsmc_jax.tracing.traceable import described, once_per_structure, require_number, trace
 
 
 class AbstractReferenceModel(AbstractModule):
@@ -90,11 +90,7 @@ class AbstractReferenceModel(AbstractModule):
             x: State of the model, a tuple of `states` scalars.
             order: Highest derivative wanted, not negative; fixed when traced.
         """
-        derivative, found = self.output, []
-        for k in range(order + 1):
-            found.append(jnp.asarray(derivative(t, x), float))
-            derivative = along_rates(derivative, self.vector_field) if k < order else derivative
-        return tuple(found)
+        return derivatives_along(self.output, self.vector_field, t, x, order + 1)
 
 
 @once_per_structure
@@ -104,7 +100,7 @@ def _require_model(model: AbstractReferenceModel) -> None:
     takes, state = f"a time and a state of {model.states} numbers", (number,) * model.states
     name = f"`vector_field` of {owner}"
     _, rates = trace(name, takes, model, lambda model, t, *x: model.vector_field(t, x), number, *state)
-    fits = isinstance(rates, tuple | list) and len(rates) == model.states and all(map(is_number, rates))
+    fits = is_list_of(rates, model.states)
     require(fits, f"{name} must return {model.states} numbers, one a state, but returns {described(rates)}.")
     name = f"`output` of {owner}"
     _, output = trace(name, takes, model, lambda model, t, *x: model.output(t, x), number, *state)

@@ -22,6 +22,7 @@ from qsmc_jax.tracing.traceable import described, is_number, once_per_structure,
 _STATES, _AROUND, _NOTHING = 8, 0.1, 1e-12
 
 _Output = Callable[[RealScalarLike, Scalars], RealScalarLike]
+_Rates = Callable[[RealScalarLike, Scalars], Scalars]
 
 
 class AbstractStateSpace(AbstractOwnCoordinates):
@@ -134,12 +135,9 @@ class AbstractStateSpace(AbstractOwnCoordinates):
             channel: Index of the output, if there are several.
         """
         is_one = len(self.relative_degrees) == 1
-        derivative = self.output if is_one else lambda t, x: self.output(t, x)[channel]
-        found = []
-        for _ in range(self.relative_degrees[channel]):
-            found.append(jnp.asarray(derivative(t, x), float))
-            derivative = along_rates(derivative, lambda t, x: self.vector_field(t, x, self.calm))
-        return tuple(found)
+        output = self.output if is_one else lambda t, x: self.output(t, x)[channel]
+        rates = lambda t, x: self.vector_field(t, x, self.calm)  # noqa: E731
+        return derivatives_along(output, rates, t, x, self.relative_degrees[channel])
 
     def outputs_in_motion(
         self, t: RealScalarLike, x: State, rates: Scalars, time: float = 1.0, channel: int = 0
@@ -168,13 +166,25 @@ class AbstractStateSpace(AbstractOwnCoordinates):
         return self.outputs_in_motion(t, x, self.column(t, x, by), 0.0, channel)[1]
 
 
-def along_rates(function: _Output, rates: Callable[[RealScalarLike, Scalars], Scalars]) -> _Output:
-    """The derivative in time of a function of time and state, where the state has the given rates.
+def derivatives_along(function: _Output, rates: _Rates, t: RealScalarLike, x: State, count: int) -> Scalars:
+    """A function of time and state, and its derivatives in time where the state has the given rates.
 
     Args:
         function: The function.
         rates: The rates, another one.
+        t: Time [s].
+        x: State.
+        count: How many are wanted, the function itself counted.
     """
+    found = []
+    for _ in range(count):
+        found.append(jnp.asarray(function(t, x), float))
+        function = _along(function, rates)
+    return tuple(found)
+
+
+def _along(function: _Output, rates: _Rates) -> _Output:
+    """The derivative in time of a function of time and state."""
 
     def derivative(t: RealScalarLike, x: State) -> RealScalarLike:
         as_number = lambda t, x: jnp.asarray(function(t, x), float)  # noqa: E731
@@ -223,19 +233,25 @@ def _require_state_space(plant: AbstractStateSpace) -> None:
             require_number(name, result, f"Index the state: x[0] ... x[{states - 1}].")
             continue
         meant, shape = wanted[method]
-        require(_is_list_of(result, *shape), f"{name} must return {meant}, but returns {described(result)}.")
+        require(is_list_of(result, *shape), f"{name} must return {meant}, but returns {described(result)}.")
     for channel in range(inputs):
         what = f"The derivatives of `output` of {owner}"
         trace(what, takes, plant, lambda plant, t, *x, channel=channel: plant.gains(t, x, channel), number, *state)
     trace(f"`break_times` of {owner}", "nothing", plant, lambda plant: as_times(plant.break_times))
 
 
-def _is_list_of(result: Any, count: int, *inner: int) -> bool:
-    """Whether something is a list of so many numbers, or of lists of them."""
+def is_list_of(result: Any, count: int, *inner: int) -> bool:
+    """Whether something is a list of so many numbers, or of lists of them.
+
+    Args:
+        result: What a traced function returned.
+        count: How many.
+        *inner: How many there are in each of them.
+    """
     if not isinstance(result, tuple | list) or len(result) != count:
         return False
     return all(
-        _is_list_of(each, *inner) if inner else is_number(each) or isinstance(each, int | float) for each in result
+        is_list_of(each, *inner) if inner else is_number(each) or isinstance(each, int | float) for each in result
     )
 
 

@@ -198,7 +198,7 @@ def _operating_range(study: Study) -> OperatingRange | None:
         residual=float(np.max(np.abs(residual))),
         gains=(float(np.min(gain)), float(np.max(gain))),
         demand=float(law.gain * np.max(load / gain) + np.abs(law.offset)),
-        ratio0=float(np.abs(loop.whole.ratio(0.0, loop.start(tuple(nominal.x0))))),
+        ratio0=float(np.abs(loop.whole.ratio(0.0, loop.start(nominal.x0)))),
         peak_u=float(run.metrics.peak_u),
         period=_numbers(nominal.loop)["sample_period"],
     )

@@ -77,7 +77,7 @@ def _values(loop: ClosedLoop | MultivariableLoop, x0: Any, ts: Float[np.ndarray,
 @eqx.filter_jit
 def _evaluated(loop: ClosedLoop | MultivariableLoop, x0: Float[Array, " n"], ts: Float[Array, " times"]) -> Any:
     def at(t: Array) -> Any:
-        x, d = loop.start(tuple(x0)), loop.channels[0].disturbed(t)
+        x, d = loop.start(x0), loop.channels[0].disturbed(t)
         signals = [(channel.disturbance(t), channel.whole.desired(t, x)) for channel in loop.channels]
         starts = x, x[loop.plant.states :]
         own = [

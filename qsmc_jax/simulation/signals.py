@@ -73,7 +73,7 @@ def solve_along(
         made_of: As for `pose`.
         own: Metrics and requirements of the study.
     """
-    start, ts = loop.start(tuple(x0[i] for i in range(loop.plant.states))), jnp.asarray(ts)
+    start, ts = loop.start(x0), jnp.asarray(ts)
     problem = pose(loop.whole, start, bandwidth, settings, made_of, own)
     metrics, saved = solve(problem, start, t1, settings, jnp.minimum(ts, t1), is_drawn_well)
     read = _ideal if loop.implementation is None else _implemented
@@ -98,7 +98,7 @@ def signals_at_start(loop: ClosedLoop | MultivariableLoop, x0: Float[np.ndarray,
         # The inputs are not asked for: any funnel coordinates will do.
         x, rest = tuple(x0), (jnp.zeros(()),) * len(loop.controls)
         return joint_signals(loop, np.zeros(()), x, [_at_start(each, (*x, *rest)) for each in loop.channels])
-    return _at_start(loop.whole, loop.start(tuple(x0)))
+    return _at_start(loop.whole, loop.start(x0))
 
 
 def _at_start(loop: ClosedLoop, x0: Scalars) -> Signals:

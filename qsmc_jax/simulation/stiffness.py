@@ -60,7 +60,7 @@ def stiffness(
 @eqx.filter_jit
 def _decays(loop: ClosedLoop | MultivariableLoop, x0: Array, t1: Array, made_of: Hashable) -> Array:
     del made_of  # by which the program is kept
-    loop, x0 = loop.whole, jnp.stack(loop.start(tuple(x0[i] for i in range(loop.plant.states))))
+    loop, x0 = loop.whole, jnp.stack(loop.start(x0))
     if isinstance(loop, MultivariableLoop):
         x0 = jnp.concatenate([x0, jnp.zeros(len(loop.controls))])  # the funnel coordinates of `Channel`, at rest
     return ft.reduce(jnp.maximum, [_of_channel(each, x0, t1) for each in loop.channels])

@@ -30,7 +30,7 @@ def run(
     """The values of a run's names, and those of its metrics that its study asks for: XLA works out no others."""
     draw = Draw(point, values)
     made = scenario(draw)
-    x0 = made.loop.start(tuple(made.x0[i] for i in range(made.loop.plant.states)))
+    x0 = made.loop.start(made.x0)
     problem = pose(made.loop.whole, x0, bandwidth, settings, scenario.contents, scenario.measures)
     metrics, _ = solve(problem, x0, jnp.asarray(made.t1), settings, is_drawn_well=draw.is_valid)
     return {name: jnp.asarray(value) for name, value in draw.recorded.items()}, metrics.only(scenario.standard)

@@ -13,6 +13,8 @@ import qsmc_jax as qj
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.precision import in_64_bits
+from qsmc_jax.control.controllers.saturated import limits_of
+from qsmc_jax.enclosures.unseen import Nodes, Step, unseen
 from studies_for_tests import Integrator
 
 G, T1, LOAD = 2.0, 6.0, 1.5
@@ -210,3 +212,54 @@ def test_a_memory_without_rates_needs_an_implementation():
         with pytest.raises(InputError, match="has a memory without rates"):
             qj.ClosedLoop(Integrator(G), REST, qj.disturbances.Zero(), each)
     qj.ClosedLoop(Integrator(G), REST, qj.disturbances.Zero(), wrapped, qj.Implementation(1e-3))
+
+
+class Double(Integral):
+    """Two rates for one number."""
+
+    def memory_rates(self, sample, memory):
+        """One too many."""
+        return (sample.errors[0], sample.sigma)
+
+
+class Nowhere(Integral):
+    """A memory that starts as two numbers."""
+
+    def memory_at_start(self, sample):
+        """One too many."""
+        return (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("kind", "method"), [(Double, "memory_rates"), (Nowhere, "memory_at_start")])
+def test_a_memory_has_as_many_rates_as_numbers(kind, method):
+    law = kind(qj.SlidingSurface([]), FUNNEL)
+    with pytest.raises(InputError, match=f"`{method}` of `{kind.__name__}` must return 1 numbers, as `first_memory`"):
+        qj.ClosedLoop(Integrator(G), REST, qj.disturbances.Zero(), law)
+
+
+def test_the_limits_of_a_law_are_known_through_what_is_around_it():
+    inner = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), FUNNEL)
+    limited = qj.controllers.Saturated(inner, (-1.0, 3.0))
+    for law in limited, qj.controllers.HighGainObserver(limited, 5.0):
+        assert [float(each) for each in limits_of(law)] == [-1.0, 3.0]
+    for law in inner, qj.controllers.StateVariableFilter(inner, 5.0):
+        assert limits_of(law) == (-math.inf, math.inf)
+    narrower = qj.controllers.Saturated(qj.controllers.Saturated(inner, (-5.0, 5.0)), (-2.0, 2.0))
+    assert [float(each) for each in limits_of(narrower)] == [-2.0, 2.0]
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_what_a_limited_law_makes_of_the_edge_is_enclosed(side):
+    """It is at its limit on both sides of the edge, and so in the whole step, though the funnel moves in it."""
+    law = qj.controllers.Saturated(qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL), (-3.0, 3.0))
+
+    def u(t):
+        sigma = side * FUNNEL(t) * (0.9 + 0.2 * (t - 1.0) / 1e-3)
+        sample = law.exact_sample(t, (sigma,), (0.0, 0.0), sigma)
+        return law.command(sample, ())[0]
+
+    with in_64_bits():
+        step = Step(jnp.asarray(1.0), jnp.asarray(1.001), Nodes((0.0, 0.5, 1.0), few=(0.0, 0.5, 1.0)))
+        found = unseen(u, step)
+        assert float(u(jnp.asarray(1.0))) == float(u(jnp.asarray(1.001))) == -3.0 * side
+    assert float(found.amount) == 0.0

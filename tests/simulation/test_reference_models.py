@@ -13,6 +13,8 @@ import qsmc_jax as qj
 from own_plants import Joint, joint, joint_outputs
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import float_field
+from qsmc_jax.base.precision import in_64_bits
+from studies_for_tests import Integrator
 
 T1, FUNNEL = 6.0, qj.Funnel(4.0, 3.0, 0.05)
 CONTROL = qj.QuasiSlidingControl(qj.SlidingSurface([2.0]), FUNNEL)
@@ -151,24 +153,12 @@ class Pulsed(qj.AbstractReferenceModel):
         return x[0]
 
 
-class First(qj.AbstractPlant):
-    """x' = u + d."""
-
-    order = 1
-
-    def drift(self, t, x):
-        """None."""
-        return 0.0 * x[0]
-
-    def gain(self, t, x):
-        """One."""
-        return 1.0
-
-
 def test_a_push_on_the_model_between_two_steps_is_seen():
     """Unseen it would be HELD: at rest steps grow to a second. The model jumps by 1.4, the funnel is 0.2 wide."""
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.2))
-    made = [qj.ClosedLoop(First(), Pulsed(height=each), qj.disturbances.Zero(), control) for each in (400.0, 0.0)]
+    made = [
+        qj.ClosedLoop(Integrator(1.0), Pulsed(height=each), qj.disturbances.Zero(), control) for each in (400.0, 0.0)
+    ]
     pushed, calm = (qj.simulate(each, [0.0], T1, bandwidth=0.4) for each in made)
     assert calm.metrics.steps < 100
     # At the peak the input holds against the model's rate: tan(pi z / 2) = 400, less what the lag has gained by then.
@@ -195,7 +185,7 @@ class Nodding(qj.AbstractReferenceModel):
 def test_what_a_model_asks_for_between_two_steps_is_seen():
     """The input holds against the steepest of the bump, tan(pi z / 2) = 0.7 sqrt(2 / e) / 2e-4."""
     control = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.2))
-    loop = qj.ClosedLoop(First(), Nodding(), qj.disturbances.Zero(), control)
+    loop = qj.ClosedLoop(Integrator(1.0), Nodding(), qj.disturbances.Zero(), control)
     run = qj.simulate(loop, [0.0], T1, bandwidth=0.4)
     steepest = 0.7 * math.sqrt(2.0 / math.e) / 2e-4
     assert float(run.metrics.peak_ratio) == pytest.approx(1.0 - 2.0 / (math.pi * steepest), abs=1e-5)
@@ -269,6 +259,24 @@ class Jumping(qj.AbstractReferenceModel):
         return x[0]
 
 
+class TwoIntegrators(qj.AbstractStateSpace):
+    """Two integrators."""
+
+    states, relative_degrees = 2, (1, 1)
+
+    def vector_field(self, t, x, d):
+        """Disturbances alone."""
+        return d
+
+    def input_matrix(self, t, x):
+        """Apart from each other."""
+        return (1.0, 0.0), (0.0, 1.0)
+
+    def output(self, t, x):
+        """Both."""
+        return x
+
+
 class Infinite(Jumping):
     """Not a number where it starts."""
 
@@ -285,9 +293,9 @@ def test_what_is_no_model_is_named():
     with pytest.raises(InputError, match="`start` of `Oscillator` must be finite"):
         Oscillator(start=[1.0, np.nan])
     with pytest.raises(InputError, match=r"`vector_field\[0\]` of `Jumping` must be continuous"):
-        qj.simulate(qj.ClosedLoop(First(), Jumping(), qj.disturbances.Zero(), scalar()), [0.0], 1.0)
+        qj.simulate(qj.ClosedLoop(Integrator(1.0), Jumping(), qj.disturbances.Zero(), scalar()), [0.0], 1.0)
     with pytest.raises(InputError, match=r"Derivative 1 of `Infinite`, a reference, must be finite"):
-        qj.simulate(qj.ClosedLoop(First(), Infinite(), qj.disturbances.Zero(), scalar()), [0.0], 1.0)
+        qj.simulate(qj.ClosedLoop(Integrator(1.0), Infinite(), qj.disturbances.Zero(), scalar()), [0.0], 1.0)
     with pytest.raises(InputError, match="Argument `x0` must have shape"):
         qj.simulate(loop_of(Oscillator()), [0.9, 0.9, 0.0, 1.3], T1)
     with pytest.raises(InputError, match="ask `loop.whole`"):
@@ -296,6 +304,29 @@ def test_what_is_no_model_is_named():
     for given in unmatched, {"measurement_delay": 1e-4}:
         with pytest.raises(InputError, match=f"`{next(iter(given))}` .* with a reference model"):
             loop_of(Oscillator(), qj.Implementation(1e-3, **given))
+
+
+class Ramp(Jumping):
+    """Its rate is a plain number, and needs no array."""
+
+    def vector_field(self, t, x):
+        """Constant."""
+        return (0.5,)
+
+
+def test_rates_may_be_plain_numbers():
+    with in_64_bits():
+        found = Ramp().derivatives(0.0, (0.3,), 2)
+    assert [float(each) for each in found] == [0.3, 0.5, 0.0]
+    loop = qj.ClosedLoop(Integrator(1.0), Ramp(), qj.disturbances.Zero(), scalar())
+    assert [float(each) for each in loop.whole.vector_field(0.0, loop.start([0.3]))] == [0.0, 0.5]
+
+
+@pytest.mark.slow  # by default beartype refuses it first
+def test_several_inputs_take_no_model():
+    calm = (qj.disturbances.Zero(),) * 2
+    with pytest.raises(InputError, match="`references` must have no reference model"):
+        qj.MultivariableLoop(TwoIntegrators(), (Ramp(), Ramp()), calm, (scalar(), scalar()))
 
 
 def scalar():
@@ -318,7 +349,7 @@ def test_studies_of_two_models_are_two():
                 return x[0]
 
         def made(draw):
-            loop = qj.ClosedLoop(First(), Own(), qj.disturbances.Zero(), scalar())
+            loop = qj.ClosedLoop(Integrator(1.0), Own(), qj.disturbances.Zero(), scalar())
             return qj.Scenario(loop, x0=[0.9], t1=1.0)
 
         return qj.Study(made, bandwidth=0.1)

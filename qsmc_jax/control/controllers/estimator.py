@@ -2,14 +2,15 @@
 
 import abc
 import math
+from typing import Any, ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from qsmc_jax.base.module import as_float64, float_field
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.control.control import Sample
+from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.controllers.wrapping import AbstractWrappingControl
 from qsmc_jax.control.dynamic_control import AbstractDynamicControl, memory_at_start, memory_rates
 
@@ -27,7 +28,14 @@ class AbstractEstimator(AbstractWrappingControl, AbstractDynamicControl):
         frequency: $\omega$ [rad/s], positive.
     """
 
-    frequency: eqx.AbstractVar[Float[Array, ""]]
+    law: AbstractControl
+    frequency: Float[Array, ""] = float_field()
+
+    positive: ClassVar[tuple[str, ...]] = ("frequency",)
+
+    # Written out for type checkers, which would take what is the law's own for arguments.
+    def __init__(self, law: AbstractControl, frequency: Any):
+        self.law, self.frequency = law, as_float64(frequency)
 
     @abc.abstractmethod
     def matrix(self, n: int) -> Float[np.ndarray, "n n"]:

@@ -1,13 +1,10 @@
 """A law that is given estimates: output feedback by a high-gain observer."""
 
 import math
-from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from qsmc_jax.base.module import as_float64, float_field
-from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.controllers.estimator import AbstractEstimator
 
 
@@ -39,15 +36,6 @@ class HighGainObserver(AbstractEstimator):
     Source: Khalil and Praly, High-gain observers in nonlinear feedback control, Int. J. Robust Nonlinear Control 24
     (2014).
     """
-
-    law: AbstractControl
-    frequency: Float[Array, ""] = float_field()
-
-    positive: ClassVar[tuple[str, ...]] = ("frequency",)
-
-    # Written out for type checkers, which would take what is the law's own for arguments.
-    def __init__(self, law: AbstractControl, frequency: Any):
-        self.law, self.frequency = law, as_float64(frequency)
 
     def matrix(self, n: int) -> Float[np.ndarray, "n n"]:
         matrix = np.eye(n, k=1)
