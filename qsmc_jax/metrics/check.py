@@ -14,6 +14,7 @@ from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.names import require_name
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.metrics.claims import require_no_claim
+from qsmc_jax.metrics.jumps import require_no_jump
 from qsmc_jax.metrics.metric import AbstractFunction, AbstractKept, AbstractMeasure, AbstractMetric, Extent
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.signals import AbstractStep, Signals
@@ -92,7 +93,8 @@ def _check_part(measure: AbstractMeasure, part: AbstractKept, start: Signals, ho
         f"Argument `before` of {kind} `{name}` must not lie beyond the horizon, {horizon:g} s, but is {part.before:g} "
         "s: leave it out for the horizon, or make `t1` longer.",
     )
-    program_of(measure, part, _sizes_of(start))
+    sizes = _sizes_of(start)
+    program = program_of(measure, part, sizes)
     if isinstance(part, AbstractFunction):
         value = float(np.asarray(part.of(start), float))
         require(
@@ -100,6 +102,8 @@ def _check_part(measure: AbstractMeasure, part: AbstractKept, start: Signals, ho
             f"Function `of` of {kind} `{name}` must return a number, but returns nan at the start of the nominal run. "
             "Keep it defined wherever a run may be, say by `jnp.where`.",
         )
+        if not _is_claim(part, sizes):
+            require_no_jump(f"Function `of` of {kind} `{name}`", part, program, start, horizon)
 
 
 def records_in(measure: AbstractMeasure, sizes: Sizes) -> dict[str, Record]:

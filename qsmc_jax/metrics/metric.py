@@ -192,9 +192,11 @@ class AbstractFunction(AbstractKept):
 
     Attributes:
         of: The function, `of(signals)`, written with `jax.numpy`; see `Signals`.
+        jumps: Whether it may jump inside steps, and what is kept of it need be right to the step only.
     """
 
     of: Callable[[Signals], Any]
+    jumps: bool = dataclasses.field(default=False, kw_only=True)
 
     def values(self, view: View) -> Float[Array, " nodes"]:
         """The function at the nodes."""
@@ -224,6 +226,10 @@ class AbstractFunction(AbstractKept):
 class AbstractOfSignals(AbstractFunction, AbstractMetric):
     """A metric of a function of the signals at one instant.
 
+    A function that is found to jump is refused: inside a step nothing looks for its jumps. Those in time are for
+    windows, others for `qj.smoothed`, or for `jumps=True`.
+
     Attributes:
         of: The function, `of(signals)`, written with `jax.numpy`; see `Signals`.
+        jumps: Whether it may jump; then its metric is right to the length of a step only.
     """

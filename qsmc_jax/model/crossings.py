@@ -7,7 +7,7 @@ of its edges, and what joins there is told from what jumps.
 """
 
 import functools as ft
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -43,6 +43,8 @@ _DECISIONS: dict[str, Callable[..., Any]] = {
     "tan": lambda out, x: jnp.floor(x / jnp.pi + 0.5),
     "stop_gradient": lambda out, x: jnp.zeros(0),
 }
+_BASES = 24  # points through which the axes are followed
+_MOST = 2048  # switches looked at along an axis
 UNDERSTOOD = set(_DECISIONS) | {"lt", "le", "gt", "ge", "lt_to", "le_to", "argmax", "argmin", "convert_element_type"}
 UNDERSTOOD |= {"reduce_max", "reduce_min"}
 
@@ -109,6 +111,56 @@ def jumps(
         is_high = step > np.maximum(_ROUNDING * np.maximum(np.abs(before), np.abs(after)), negligible)
         is_jump = is_high & (step * _SAME >= slope) & (step <= wide * _SAME) & np.isfinite(wide)
     return is_jump, lower, upper
+
+
+def first_jump(
+    evaluated: Callable[[Any], tuple[Any, Any]],
+    coordinates: int,
+    axes: Iterable[int],
+    onto: Callable[[np.ndarray], np.ndarray] = np.asarray,
+) -> tuple[int, np.ndarray, Any, Any] | None:
+    """The axis, the point, and the values before and after a jump of a function; None if none is found.
+
+    The function is followed along each axis through points of many sizes, and where it switches its values are
+    compared.
+
+    Args:
+        evaluated: Value and decisions at points, a row each; the first coordinate is a time [s].
+        coordinates: How many numbers make a point.
+        axes: Coordinates along which it is followed.
+        onto: Brings points to where the function is of use, each coordinate for itself.
+    """
+
+    def ask(which: int, points: np.ndarray) -> Any:
+        return in_batches(lambda batch: evaluated(batch)[which], points)
+
+    for axis in axes:
+        lines = onto(_lines(coordinates, axis))
+        low, high = (part.reshape(-1, coordinates) for part in (lines[:, :-1], lines[:, 1:]))
+        a, b = switches(ft.partial(ask, 1), low, high, _MOST)
+        if len(a) == 0:
+            continue
+        is_jump, lower, upper = jumps(ft.partial(ask, 0), a, b)
+        if np.any(is_jump):
+            first = int(np.argmin(np.where(is_jump, np.abs(b[:, axis]), np.inf)))
+            at = np.where(np.abs(b[first]) < 1e-12, 0.0, b[first])  # the halving of zero ends in 1e-30
+            return axis, at, lower[first], upper[first]
+    return None
+
+
+def _lines(coordinates: int, axis: int) -> np.ndarray:
+    """Points along an axis, (lines, points, coordinates); the first lines go through the origin."""
+    generator = np.random.default_rng(0)
+    sizes = 10.0 ** generator.uniform(-3.0, 3.0, (_BASES, coordinates))
+    sizes[:, 1:] *= generator.choice([-1.0, 1.0], (_BASES, coordinates - 1))
+    sizes[:4] = np.outer([0.0, 1.0, -1.0, 0.1], np.ones(coordinates))
+    sizes[:4, 0] = np.abs(sizes[:4, 0])
+    # Sizes from 1e-6 to 1e6, and evenly spaced numbers for what repeats itself, by a step that is no round one.
+    along = np.concatenate([np.logspace(-6.0, 6.0, 49), np.arange(1, 41) * 0.2618034])
+    along = np.sort(np.concatenate([-1.1 * along, along]))  # of which no halving ends at zero itself
+    lines = np.repeat(sizes[:, None, :], len(along), axis=1)
+    lines[:, :, axis] = along
+    return lines
 
 
 def in_batches(fn: Callable[[Any], Any], points: np.ndarray) -> Any:

@@ -1,24 +1,22 @@
 """Whether what a plant computes is continuous in the state."""
 
+import functools as ft
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from qsmc_jax.base.checks import is_traced, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.model.components import components
-from qsmc_jax.model.crossings import in_batches, jumps, switches, with_decisions
+from qsmc_jax.model.crossings import first_jump, with_decisions
 from qsmc_jax.model.kinks import may_jump
 from qsmc_jax.tracing.traceable import once_per_structure, trace
 
 # The disturbance while the state is looked at: not 0, by which what jumps may be multiplied.
 _DISTURBANCE = 0.7320508
-_BASES = 24  # states through which the axes are followed
-_MOST = 2048  # switches looked at along an axis
 
 
 def require_no_state_jumps(plant: Any) -> None:
@@ -72,22 +70,11 @@ def require_continuous(plant: Any, method: str) -> None:
 @entry_point
 def _first_jump(plant: Any, method: str) -> tuple[Any, ...] | None:
     """Time, state, and the values before and after a jump; None if there is none."""
-
-    def ask(which: int, points: np.ndarray) -> Any:
-        return in_batches(lambda batch: _evaluated(plant, method, batch)[which], points)
-
-    for axis in range(plant.states):
-        lines = _lines(plant.states, axis)
-        low, high = (part.reshape(-1, plant.states + 1) for part in (lines[:, :-1], lines[:, 1:]))
-        a, b = switches(lambda points: ask(1, points), low, high, _MOST)
-        if len(a) == 0:
-            continue
-        is_jump, lower, upper = jumps(lambda points: ask(0, points), a, b)
-        if np.any(is_jump):
-            first = int(np.argmin(np.where(is_jump, np.abs(b[:, 1 + axis]), np.inf)))
-            at = np.where(np.abs(b[first]) < 1e-12, 0.0, b[first])  # the halving of zero ends in 1e-30
-            return at[0], at[1:], lower[first], upper[first]
-    return None
+    found = first_jump(ft.partial(_evaluated, plant, method), 1 + plant.states, range(1, 1 + plant.states))
+    if found is None:
+        return None
+    _, at, before, after = found
+    return at[0], at[1:], before, after
 
 
 @eqx.filter_jit
@@ -98,18 +85,3 @@ def _evaluated(plant: Any, method: str, points: Any) -> tuple[Any, Any]:
         return jnp.asarray(components(plant)[method](plant, t, x, _DISTURBANCE), dtype=float)
 
     return jax.vmap(lambda point: with_decisions(function, tuple(point)))(points)
-
-
-def _lines(order: int, axis: int) -> np.ndarray:
-    """Points (t, x) along an axis of the state, (lines, points, 1 + n); the first lines go through the origin."""
-    generator = np.random.default_rng(0)
-    sizes = 10.0 ** generator.uniform(-3.0, 3.0, (_BASES, order + 1))
-    sizes[:, 1:] *= generator.choice([-1.0, 1.0], (_BASES, order))
-    sizes[:4] = np.outer([0.0, 1.0, -1.0, 0.1], np.ones(order + 1))
-    sizes[:4, 0] = np.abs(sizes[:4, 0])
-    # Sizes from 1e-6 to 1e6, and evenly spaced numbers for what repeats itself, by a step that is no round one.
-    along = np.concatenate([np.logspace(-6.0, 6.0, 49), np.arange(1, 41) * 0.2618034])
-    along = np.sort(np.concatenate([-1.1 * along, along]))  # of which no halving ends at zero itself
-    lines = np.repeat(sizes[:, None, :], len(along), axis=1)
-    lines[:, :, 1 + axis] = along
-    return lines
