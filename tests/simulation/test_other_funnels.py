@@ -9,6 +9,7 @@ import scipy.integrate
 
 import qsmc_jax as qj
 from own_plants import Scalar
+from qsmc_jax.control.funnels.rates import require_own_rates
 from qsmc_jax.control.settling import settling_time as qj_settling
 from studies_for_tests import Integrator
 
@@ -167,20 +168,22 @@ def settling(c, width, eps, e0):
 
 
 class Narrowing(qj.AbstractFunnel):
-    """1 / (1 + t) + 0.1, with a rate that may be wrong, as a user may write it."""
+    """1 / (1 + t) + 0.1, with a rate that may be wrong and a step up to `until`, as a user may write it."""
 
     rate_is: float = -1.0
+    step: float = 0.0
+    until: float = 1.2345
+    break_times: tuple[float, ...] = ()
 
     def width_and_rate(self, t):
         """By hand."""
-        return 1.0 / (1.0 + t) + 0.1, self.rate_is / (1.0 + t) ** 2
+        return 1.0 / (1.0 + t) + 0.1 + jnp.where(t < self.until, self.step, 0.0), self.rate_is / (1.0 + t) ** 2
 
     def centre_and_rate(self, t):
         """Around 0."""
         return 0.0, 0.0
 
     bandwidths, narrowest, steepest, rate = (0.1, 1.1), 0.1, 1.0, 1.0
-    break_times = np.zeros(0)
 
     def reaching_time(self, bandwidth):
         """By hand."""
@@ -198,6 +201,15 @@ class Narrowing(qj.AbstractFunnel):
 def test_a_rate_that_is_not_the_derivative_is_named():
     with pytest.raises(qj.InputError, match=r"Derivative 1 of `Narrowing`, its half-width, must be .* instead of -"):
         qj.simulate(loop_in(F.Asymmetric(FUNNELS["finite time"][0], Narrowing(-2.0))), [0.5], 3.0, bandwidth=BANDWIDTH)
+
+
+@pytest.mark.parametrize("breaks", [(), (1.2345,), (1.2345, 1.2346)])
+def test_an_edge_that_jumps_is_named(breaks):
+    """A loop well inside before would be outside after, on which the law has no say."""
+    funnel = Narrowing(-1.0, 0.5, 1.2345, breaks)
+    with pytest.raises(qj.InputError, match=r"`Narrowing` must not jump, but an edge does at t = 1\.2345 s"):
+        qj.simulate(loop_in(funnel), [0.5], 3.0, bandwidth=BANDWIDTH)
+    require_own_rates(funnel, 1.2)
 
 
 @pytest.mark.slow
