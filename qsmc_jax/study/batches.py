@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qsmc_jax.base.checks import require, require_count, require_kind
+from qsmc_jax.base.kept import kept
 from qsmc_jax.base.module import as_float64
 from qsmc_jax.base.precision import in_64_bits
 from qsmc_jax.metrics.standard import Metrics
@@ -131,7 +132,7 @@ def block_size(block: int | None) -> int:
 
 
 # What compiles the last few programs traced: it takes memory, and is asked for once more at most.
-@ft.lru_cache(maxsize=2)
+@kept(maxsize=2)
 def _traced(
     block: Callable[..., Any],
     scenario: Made,
@@ -150,7 +151,7 @@ def _traced(
         return traced(ft.partial(block, scenario), points, values, *others, vectorise=vectorise)
 
 
-@ft.lru_cache(maxsize=64)
+@kept(maxsize=64)
 def _compiled(*what: Any) -> Callable[..., Any]:
     """The program of what `_traced` is given."""
     with in_64_bits():
