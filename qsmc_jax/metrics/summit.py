@@ -20,8 +20,9 @@ from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.hermite import Cubic
 from qsmc_jax.numerics.lockstep import any_lane
 
-# How often a stretch is narrowed from both sides before the cubic is asked.
-_ROUNDS = 2
+# Where a stretch is narrowed in turn: from both sides twice before the cubic is asked.
+_WHERE_TANGENTS_MEET, _WHERE_BEYOND, _WHERE_CUBIC_TURNS = range(3)
+_TURNS = (*(_WHERE_TANGENTS_MEET, _WHERE_BEYOND) * 2, _WHERE_TANGENTS_MEET, _WHERE_CUBIC_TURNS)
 # Part of a stretch by which every place keeps off its ends: one that lies next to a peak would never get closer.
 _OFF = 0.02
 # How much farther than the tangents say one goes to be on the other side.
@@ -101,21 +102,21 @@ def _searched(
     # Of two as high, as neighbours of a node are, the one that has a peak inside.
     chosen = jnp.argmax(jnp.where(tops >= tops.max(), 1.0 + _has_peak(lefts, rights).astype(float), 0.0))
     left, right = Points(*(each[chosen] for each in lefts)), Points(*(each[chosen] for each in rights))
-    found = []
-    for _ in range(_ROUNDS):
+
+    # In a loop, so that the signals are written into the program once for all places.
+    def narrowed(stretch: _Stretch, turn: RealScalarLike) -> tuple[_Stretch, Points]:
+        left, right, beyond = stretch
         meeting, falls = _meeting(left, right), left.slope - right.slope
-        point = at(meeting.place, left, right)
+        place = jnp.where(turn == _WHERE_BEYOND, beyond, meeting.place)
+        point = at(jnp.where(turn == _WHERE_CUBIC_TURNS, _cubic_turns(left, right), place), left, right)
         lack = _BEYOND * jnp.abs(meeting.value - point.value) / jnp.where(falls == 0.0, jnp.inf, falls)
-        left, right = _narrowed(left, right, point)
-        beyond = at(point.place + jnp.where(point.slope > 0.0, lack, -lack), left, right)
-        left, right = _narrowed(left, right, beyond)
-        found += [point, beyond]
-    for turn in (_tangents_meet, _cubic_turns):
-        point = at(turn(left, right), left, right)
-        left, right = _narrowed(left, right, point)
-        found.append(point)
-    places = jnp.concatenate([nodes.place, jnp.stack([point.place for point in found])])
-    heights = jnp.concatenate([nodes.value, jnp.stack([point.value for point in found])])
+        beyond = point.place + jnp.where(point.slope > 0.0, lack, -lack)
+        return jax.lax.stop_gradient(_Stretch(*_narrowed(left, right, point), beyond)), point
+
+    start = jax.lax.stop_gradient(_Stretch(left, right, left.place))
+    (left, right, _), found = jax.lax.scan(narrowed, start, jnp.array(_TURNS))
+    places = jnp.concatenate([nodes.place, found.place])
+    heights = jnp.concatenate([nodes.value, found.value])
     best, others = jnp.argmax(heights), reach.at[chosen].set(-jnp.inf).max()
     bound = jnp.maximum(jnp.maximum(_reach(left, right), others), heights[best])
     return Summit(places[best], heights[best], jax.lax.stop_gradient(bound))
@@ -136,6 +137,14 @@ def _narrowed(left: Points, right: Points, point: Points) -> tuple[Points, Point
     """The part of a stretch in which the function still turns from rising to falling."""
     is_rising = point.slope > 0.0
     return pytrees.where(is_rising, point, left), pytrees.where(is_rising, right, point)
+
+
+class _Stretch(NamedTuple):
+    """A part of a step in which a function peaks, and the place where it may be on the other side of the peak."""
+
+    left: Points
+    right: Points
+    beyond: Float[Array, ""]
 
 
 class _Meeting(NamedTuple):
