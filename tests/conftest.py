@@ -42,15 +42,15 @@ gc.set_threshold(50_000)
 def pytest_configure(config):
     """Before anything imports the package: from here on beartype checks every call against its annotations.
 
-    Not for the slow tests alone, which it would make a quarter slower: what they call, the default ones call too. These
-    in turn have XLA write kernels in the older of its two ways and optimise little: the same numbers but for rounding,
-    less time to compile and more to run. Slow tests, and all where `XLA_FLAGS` is set, if to nothing, compile as users
-    do.
+    Not for the slow tests alone, which it would make a quarter slower: what they call, the default ones call too. All
+    tests have XLA write kernels in the older of its two ways and optimise little: the same numbers but for rounding,
+    less time to compile and more to run. Where `XLA_FLAGS` is set, if to nothing, programs are compiled as for users:
+    `.ci/run` says which tests are.
     """
     if config.option.markexpr != "slow":
         jaxtyping.install_import_hook("qsmc_jax", "beartype.beartype")
-        if jax.__version_info__ < (0, 11):  # XLA aborts where it does not know a flag
-            os.environ.setdefault("XLA_FLAGS", _QUICK_TO_COMPILE)
+    if jax.__version_info__ < (0, 11):  # XLA aborts where it does not know a flag
+        os.environ.setdefault("XLA_FLAGS", _QUICK_TO_COMPILE)
     if not hasattr(config, "workerinput"):
         _forget_old_programs()
 
