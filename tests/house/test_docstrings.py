@@ -22,7 +22,7 @@ AS_FOR = re.compile(r"^Arguments.*: as `(\w+)`(.*)$", re.M)
 # Examples that compile a solve take seconds each.
 DEAR = re.compile(
     r"\b(simulate|replay|monte_carlo|stream|verify|compare|critical_value|robustness_map|tune|landscape|run_campaign|"
-    r"work_shard|solve)\("
+    r"work_shard|signals|solve)\("
 )
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 

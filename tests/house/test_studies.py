@@ -10,11 +10,9 @@ import qsmc_jax as qj
 from qsmc_jax.report.paper_table import as_text, rows, simulate_example
 
 STUDIES = places.STUDIES
-CLAIMED = {
-    "paper_example1": qj.Verdict.HELD,
-    "wrong_gain_sign": qj.Verdict.VIOLATED,
-}
+CLAIMED = {"paper_example1": qj.Verdict.HELD}
 LONG = {
+    "wrong_gain_sign": qj.Verdict.VIOLATED,
     "duffing": qj.Verdict.HELD,
     "cooling": qj.Verdict.HELD,
     "flexible_joint": qj.Verdict.HELD,

@@ -175,10 +175,6 @@ def test_a_run_that_ends_early_decides_what_it_has_seen():
 
 
 def test_a_run_that_does_not_begin_or_lasts_too_short_says_nothing():
-    def far(draw):
-        made = falling(draw)
-        return qj.Scenario(made.loop, x0=[2.0], t1=made.t1)
-
     limits = {"limit": qj.always(lambda s: 9.0 - s.u)}
     study = qj.Study(
         lambda draw: qj.Scenario(falling(draw).loop, x0=[0.3 + 1.5 * draw.uniform("far", 0.0, 1.0)], t1=2.0),

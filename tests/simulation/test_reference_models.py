@@ -81,6 +81,7 @@ def test_a_model_of_a_known_reference_is_that_reference(sampled):
     assert found.verdict is known.verdict is qj.Verdict.HELD
 
 
+@pytest.mark.slow
 def test_a_slave_follows_its_master_as_scipy_has_it():
     loop = loop_of(Master())
     run = qj.simulate(loop, [0.9, 0.2], T1, settings=qj.tight())

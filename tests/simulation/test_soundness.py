@@ -161,6 +161,7 @@ def test_in_physical_coordinates():
         agrees(Case(where=where, height=height, width=0.004, size=0.5), coordinates="physical")
 
 
+@pytest.mark.slow
 def test_a_short_push_in_a_long_run():
     for width in (1e-4, 1e-2):
         agrees(Case(horizon=1e4, at=6543.21, width=width, height=60.0), "rodas5p")

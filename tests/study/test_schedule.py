@@ -116,6 +116,7 @@ def expected_decays(rho_inf):
     return np.trapezoid(np.pi / (2.0 * rho) * (1.0 + u**2), ts)
 
 
+@pytest.mark.slow
 def test_auto_takes_the_implicit_method_for_the_stiffest_runs_only():
     steps = {method: solve(settings=qj.SolverSettings(method=method))[0] for method in ("auto", "tsit5", "rodas5p")}
     assert STUDY.stiffness < EXPLICIT_UP_TO  # so that a run must be thrice as stiff to be worth a second program
@@ -127,6 +128,7 @@ def test_auto_takes_the_implicit_method_for_the_stiffest_runs_only():
             np.testing.assert_array_equal(column[rows & is_clear], steps[method][name][rows & is_clear], err_msg=name)
 
 
+@pytest.mark.slow
 def test_both_methods_agree_on_the_peak():
     tsit5, rodas5p = (solve(settings=qj.SolverSettings(method=method))[0] for method in ("tsit5", "rodas5p"))
     np.testing.assert_allclose(rodas5p["peak_ratio"], tsit5["peak_ratio"], atol=10e-6)
