@@ -20,13 +20,19 @@ ZERO = qj.references.SumOfSines([0.0], [1.0])
 SWITCHES = np.array([0.8, 2.1, 2.6, 4.4, 6.0, 7.9])
 LEVELS = np.array([1.0, -2.0, 2.5, -0.5, 3.0, 0.2, -2.8])
 
+
+def constant(level):
+    """As a sine, so that loops of an order share a program."""
+    return qj.disturbances.Sine(level, 0.0, math.pi / 2)
+
+
 # Disturbance as a model and as a function of time, and the order.
 LOOPS = {
-    "constant 3, n=1": (qj.disturbances.Constant(3.0), lambda t: 3.0, 1),
-    "constant 10, n=1": (qj.disturbances.Constant(10.0), lambda t: 10.0, 1),
+    "constant 3, n=1": (constant(3.0), lambda t: 3.0, 1),
+    "constant 10, n=1": (constant(10.0), lambda t: 10.0, 1),
     "sine, n=1": (qj.disturbances.Sine(2.0, 1.0), lambda t: 2.0 * math.sin(t), 1),
     "telegraph, n=1": (qj.disturbances.Telegraph(SWITCHES, LEVELS), lambda t: _level(t), 1),
-    "constant 8, n=2": (qj.disturbances.Constant(8.0), lambda t: 8.0, 2),
+    "constant 8, n=2": (constant(8.0), lambda t: 8.0, 2),
     "sine, n=2": (qj.disturbances.Sine(5.0, 3.0), lambda t: 5.0 * math.sin(3.0 * t), 2),
     "telegraph, n=2": (qj.disturbances.Telegraph(SWITCHES, LEVELS), lambda t: _level(t), 2),
     "sine, n=4": (qj.disturbances.Sine(2.0, 2.0), lambda t: 2.0 * math.sin(2.0 * t), 4),
@@ -35,6 +41,8 @@ C = {1: [], 2: [2.0], 4: [6.0, 12.0, 8.0]}
 # Metrics at default settings are this good where the method is forced, or left to the library; and at `tight()`.
 RTOL = {"default": {"total_variation_u": 1e-4, "energy_u": 1e-5, "peak_u": 1e-5, "rms_error": 1e-5}}
 RTOL["tight"] = {name: 0.1 * rtol for name, rtol in RTOL["default"].items()}
+# But for its limit of steps, so that both share a program.
+TIGHT = qj.SolverSettings(qj.tight().rtol, qj.tight().atol)
 
 
 def _level(t):
@@ -104,7 +112,7 @@ def metrics(name, method, preset):
     disturbance, _, n = LOOPS[name]
     control = qj.QuasiSlidingControl(qj.SlidingSurface(C[n]), qj.Funnel(*FUNNEL))
     loop = qj.ClosedLoop(problems.chain(n)(float(n == 4)), ZERO, disturbance, control)
-    settings = (qj.tight() if preset == "tight" else qj.SolverSettings()).replace(method=method)
+    settings = (TIGHT if preset == "tight" else qj.SolverSettings()).replace(method=method)
     return qj.simulate(loop, start(n), T1, ts=np.array([0.0, T1]), settings=settings).metrics
 
 

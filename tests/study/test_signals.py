@@ -15,6 +15,8 @@ from qsmc_jax.study.batches import BatchSolver
 from studies_for_tests import Integrator, study
 
 CLOSE = 1e-5
+# `tight()`, but for its limit of steps, so that all share programs.
+TIGHT = qj.SolverSettings(qj.tight().rtol, qj.tight().atol)
 
 
 def wavy(draw):
@@ -47,7 +49,7 @@ def held_rows(batch):
 
 def test_a_batch_has_the_signals_of_each_run_in_the_order_asked_for():
     ts, indices = np.linspace(0.0, 6.0, 25), [17, 3, 4, 250, 0]
-    batch = qj.signals(study, indices, seed=5, ts=ts, settings=qj.tight())
+    batch = qj.signals(study, indices, seed=5, ts=ts, settings=TIGHT)
     assert batch.runs["index"].tolist() == indices
     assert batch.sigma.shape == batch.rho.shape == batch.u.shape == (5, 25)
     assert batch.x.shape == batch.e.shape == batch.desired.shape == (5, 25, 1)
@@ -76,7 +78,7 @@ def test_more_runs_than_a_window_stay_in_order():
 
 def test_a_run_is_nan_after_its_own_horizon():
     ts = np.linspace(0.0, 4.0, 81)
-    batch = qj.signals(WAVY, range(8), ts=ts, settings=qj.tight())
+    batch = qj.signals(WAVY, range(8), ts=ts, settings=TIGHT)
     for i, t1 in enumerate(batch.runs["t1"]):
         lasts = ts <= t1
         assert np.isfinite(batch.sigma[i, lasts]).all()
@@ -87,10 +89,10 @@ def test_a_run_is_nan_after_its_own_horizon():
 
 @pytest.mark.slow
 def test_a_replay_is_its_run_where_the_scenario_makes_functions():
-    rows = qj.monte_carlo(WAVY, 4, settings=qj.tight())
+    rows = qj.monte_carlo(WAVY, 4, settings=TIGHT)
     for i in range(4):
         row = rows.row(i)
-        run = WAVY.replay(i, settings=qj.tight())
+        run = WAVY.replay(i, settings=TIGHT)
         assert run.sigma[::100] == pytest.approx(sigma_of(row, run.ts)[::100], abs=CLOSE)
         assert run.metrics.peak_ratio == pytest.approx(row["peak_ratio"], abs=1e-7)
         assert run.ts[-1] == pytest.approx(row["t1"], rel=1e-14)
@@ -150,7 +152,7 @@ def test_what_does_not_fit_is_named(arguments, said):
 
 def test_a_dataset_says_which_run_and_when():
     pytest.importorskip("xarray")
-    data = qj.signals(study, [7, 2], ts=[0.0, 1.0]).to_xarray()
+    data = qj.signals(study, [7, 2], ts=np.linspace(0.0, 1.0, 25), settings=TIGHT).to_xarray()
     assert data["run"].values.tolist() == [7, 2]
     assert data["sigma"].dims == ("run", "t")
     assert data["t"].attrs["units"] == "s"
