@@ -13,11 +13,12 @@ from qsmc_jax.model.state_space import AbstractStateSpace
 class Channel(AbstractOwnCoordinates):
     """A channel: the states are the plant's N and beside them the funnel coordinates of all m channels.
 
-    The latter are there to tell the other inputs by; they have no rates here, and no output depends on them.
+    The latter are there to tell the other inputs by; they have no rates here, and no output depends on them. In a loop
+    with an implementation inputs are held, and there are no laws here, nor their coordinates.
 
     Attributes:
         plant: The plant.
-        laws: The laws of all channels.
+        laws: The laws of all channels; none if inputs are held.
         disturbances: The disturbances, one for each channel.
         index: Which channel it is.
     """

@@ -95,6 +95,8 @@ class ClosedLoop(AbstractModule):
     def _require_fitting_implementation(self) -> None:
         made, told = self.implementation, "of the implementation must be left out"
         has_model = isinstance(self.reference, AbstractReferenceModel)
+        for name in () if made is None else made.by_channel:
+            raise InputError(f"Argument `{name}` of the implementation must be one, no list, for a single input.")
         require(
             made is None or not made.unmatched or (isinstance(self.plant, AbstractPlant) and not has_model),
             f"Argument `unmatched` {told} for a plant in its own coordinates, where `d` enters where `vector_field` "
@@ -363,7 +365,8 @@ class ClosedLoop(AbstractModule):
         if isinstance(plant, AbstractOwnCoordinates):
             d, part = self.disturbed(t), 1.0 if fault is None else fault(t)
             reach = tuple(gi * part for gi in plant.input_matrix(t, x))
-            return OwnTerms(tuple(plant.vector_field(t, x, d)), reach, self.gain(t, x) * part, d)
+            own = self.disturbance(t) if isinstance(plant, Channel) else d
+            return OwnTerms(tuple(plant.vector_field(t, x, d)), reach, self.gain(t, x) * part, own)
         gain = plant.gain(t, x)
         if fault is not None:
             gain = gain * fault(t)

@@ -1,6 +1,5 @@
 """The closed loop of a plant with several inputs: a law, a reference and a disturbance for each channel."""
 
-import itertools as it
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -12,7 +11,9 @@ from qsmc_jax.base.module import AbstractModule, require_fields
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.channel import Channel
+from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.law import QuasiSlidingControl
+from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
@@ -37,6 +38,8 @@ class MultivariableLoop(AbstractModule):
         references: The desired outputs, m of them, each at least as often differentiable as its relative degree.
         disturbances: The disturbances, m of them, which enter where the plant has them.
         controls: The laws, m of them, each with a surface for its relative degree, and a funnel.
+        implementation: How the controllers are implemented; None for the ideal loop. Each channel has a computer of its
+            own: where it says so, a number of an `Implementation` is one for all of them or one for each.
 
     Raises:
         InputError: There are not as many of each as inputs; or a surface, or a reference, does not fit its channel.
@@ -66,13 +69,15 @@ class MultivariableLoop(AbstractModule):
     plant: AbstractStateSpace
     references: tuple[AbstractReference, ...]
     disturbances: tuple[AbstractDisturbance, ...]
-    controls: tuple[QuasiSlidingControl, ...]
+    controls: tuple[AbstractControl, ...]
+    implementation: Implementation | None = None
 
     def __check_init__(self):
         require_fields(self)
         m, owner = len(self.plant.relative_degrees), type(self.plant).__name__
         require(m > 1, f"Argument `plant` must have several inputs, but `{owner}` has one: make a `qj.ClosedLoop`.")
-        kinds = {"references": AbstractReference, "disturbances": AbstractDisturbance, "controls": QuasiSlidingControl}
+        law = QuasiSlidingControl if self.implementation is None else AbstractControl
+        kinds = {"references": AbstractReference, "disturbances": AbstractDisturbance, "controls": law}
         for name, kind in kinds.items():
             given = getattr(self, name)
             is_tuple = isinstance(given, tuple) and len(given) == m
@@ -85,16 +90,19 @@ class MultivariableLoop(AbstractModule):
         _ = self.channels  # each checks its surface and its reference
 
     @property
-    def implementation(self) -> None:
-        """None: the loop is in continuous time."""
-        return
-
-    @property
     def channels(self) -> tuple[ClosedLoop, ...]:
         """Each channel as a loop with one input; see `Channel` for its state."""
-        parts = zip(self.references, self.disturbances, self.controls, strict=True)
-        made = (Channel(self.plant, self.controls, self.disturbances, i) for i in it.count())
-        return tuple(ClosedLoop(plant, *each) for plant, each in zip(made, parts, strict=False))
+        m = len(self.controls)
+        # Held inputs are known without the laws: the others' are left out here, and added by whoever holds them.
+        laws = self.sliding_laws if self.implementation is None else ()
+        made = [None] * m if self.implementation is None else self.implementation.of_channels(m)
+        plants = [Channel(self.plant, laws, self.disturbances, i) for i in range(m)]
+        return tuple(map(ClosedLoop, plants, self.references, self.disturbances, self.controls, made))
+
+    @property
+    def sliding_laws(self) -> tuple[QuasiSlidingControl, ...]:
+        """The laws that are the quasi-sliding one: in an ideal loop all."""
+        return tuple(law for law in self.controls if isinstance(law, QuasiSlidingControl))
 
     @property
     def whole(self) -> "MultivariableLoop":
@@ -155,8 +163,9 @@ class MultivariableLoop(AbstractModule):
     @property
     def breaks_by_part(self) -> list[Array]:
         """Times [s] at which the right-hand side jumps or kinks, for each of the loop's parts."""
-        funnels = [control.funnel for control in self.controls]
-        return [as_times(part.break_times) for part in (self.plant, *self.references, *self.disturbances, *funnels)]
+        parts = [*self.references, *self.disturbances, *(control.funnel for control in self.controls)]
+        made = [each.implementation for each in self.channels if each.implementation is not None]
+        return [as_times(part.break_times) for part in (self.plant, *parts, *made)]
 
     def decoupling(self, t: RealScalarLike, x: State) -> tuple[Scalars, ...]:
         """The rows of the decoupling matrix B: what a unit of each input adds to each sliding variable's rate.
@@ -189,13 +198,15 @@ class MultivariableLoop(AbstractModule):
             t: Time [s].
             rows: The rows of B.
         """
-        strengths = [jnp.asarray(law.gain_sign * law.gain_at(t) * law.funnel(t)) for law in self.controls]
+        strengths = [jnp.asarray(law.gain_sign * law.gain_at(t) * law.funnel(t)) for law in self.sliding_laws]
         scaled = jnp.stack([jnp.stack(row) for row in rows]) * jnp.stack(strengths)[None, :]
         return 0.5 * (scaled + scaled.T)
 
 
 def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> None:
     """Raises unless the inputs drive the sliding variables as the laws need it where a run starts; traced ones pass.
+
+    Of other laws than the quasi-sliding one nobody knows what they need.
 
     Args:
         loop: The loop.
@@ -204,7 +215,8 @@ def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> 
     Raises:
         InputError: The symmetric part of the decoupling matrix, with the laws' signs and gains, is not definite.
     """
-    if is_traced(loop, x0):
+    is_known = all(isinstance(law, QuasiSlidingControl) for law in loop.controls)
+    if is_traced(loop, x0) or not is_known:
         return
     matrix, values = _definiteness(loop, x0)
     require(

@@ -1,5 +1,6 @@
 """The implementation of a controller: what of the paper's continuous, unlimited, exact input reality leaves."""
 
+import dataclasses
 import functools as ft
 import math
 from typing import Any, get_args
@@ -115,26 +116,30 @@ class Implementation(AbstractModule):
     actuator `delay` later and is held until the next one. Before the first arrives, it is 0. Everything but the period
     is off by default, at no cost; every number may be drawn.
 
+    In a loop with several inputs each channel is computed so, of one measurement of the states: what is marked by m is
+    one number for all channels, or m of them (`input_range`: m pairs; actuator and fault: a tuple).
+
     Attributes:
-        sample_period: The period $\tau$ [s] of the zero-order hold, positive.
+        sample_period: The period $\tau$ [s] of the zero-order hold, positive; m.
         jitter: How late samples come.
-        delay: Time [s] from a sample to the input it leads to: of computation or transport; any number, not negative.
-        measurement_delay: Age [s] of what is measured, not negative.
-        saturation: Largest absolute command, positive.
-        input_range: Least and largest command, such as (0, 4) for a magnet that can only pull; they may be infinite.
+        delay: Time [s] from a sample to the input it leads to: of computation or transport; any number, not negative;
+            m.
+        measurement_delay: Age [s] of what is measured, not negative; m.
+        saturation: Largest absolute command, positive; m.
+        input_range: Least and largest command, such as (0, 4) for a magnet that can only pull; they may be infinite; m.
         rate_limit: Largest change of the command per time, positive; before the first sample it was 0. That of the
-            actuator itself is one of `qj.actuators.RateLimited`.
+            actuator itself is one of `qj.actuators.RateLimited`; m.
         measurement_resolution: Steps to which the states are rounded, n numbers, not negative; 0 for none.
-        input_resolution: Step to which the command is rounded, not negative; 0 for none.
+        input_resolution: Step to which the command is rounded, not negative; 0 for none; m.
         noise: Noise on the measured states.
-        actuator: What is between the command and the plant's input: a lag, a rate limit, stops, a dead zone.
-        gain_fault: A gain that is wrong for a while.
+        actuator: What is between the command and the plant's input: a lag, a rate limit, stops, a dead zone; m.
+        gain_fault: A gain that is wrong for a while; with several inputs what each input adds to the rates; m.
         unmatched: Disturbances of the first n - 1 states, $\dot x_i = x_{i+1} + d_i(t)$, which the paper excludes:
             n - 1 of them, or none.
         beyond: What the law does outside the funnel, where the paper does not define it: `"saturate"` (it holds the
             value it has just inside) or `"wrap"` (a fault: the tangent as it stands, which points the wrong way).
         cutoff: Angular frequency [rad/s] above which power of the input counts as high-frequency, positive; None stands
-            for five times the faster of mu and the surface's mean rate.
+            for five times the faster of mu and the surface's mean rate; m.
         queue: Samples under way from measurement to input at most; a longer total delay leaves the run UNDECIDED.
 
     Raises:
@@ -147,21 +152,21 @@ class Implementation(AbstractModule):
         (0.75, 1.0, 2.0)
     """
 
-    sample_period: Float[Array, ""] = float_field()
+    sample_period: Float[Array, "..."] = float_field()
     jitter: Jitter | None = None
-    delay: Float[Array, ""] | None = float_field(default=None)
-    measurement_delay: Float[Array, ""] | None = float_field(default=None)
-    saturation: Float[Array, ""] | None = float_field(default=None)
-    input_range: Float[Array, " 2"] | None = float_field(default=None)
-    rate_limit: Float[Array, ""] | None = float_field(default=None)
+    delay: Float[Array, "..."] | None = float_field(default=None)
+    measurement_delay: Float[Array, "..."] | None = float_field(default=None)
+    saturation: Float[Array, "..."] | None = float_field(default=None)
+    input_range: Float[Array, "... 2"] | None = float_field(default=None)
+    rate_limit: Float[Array, "..."] | None = float_field(default=None)
     measurement_resolution: Float[Array, " n"] | None = float_field(default=None)
-    input_resolution: Float[Array, ""] | None = float_field(default=None)
+    input_resolution: Float[Array, "..."] | None = float_field(default=None)
     noise: AbstractNoise | None = None
-    actuator: AbstractActuator | None = None
-    gain_fault: GainFault | None = None
+    actuator: Any = None
+    gain_fault: Any = None
     unmatched: tuple[AbstractDisturbance, ...] = eqx.field(converter=tuple, default=())
     beyond: Beyond = eqx.field(static=True, default="saturate")
-    cutoff: Float[Array, ""] | None = float_field(default=None)
+    cutoff: Float[Array, "..."] | None = float_field(default=None)
     queue: int = eqx.field(static=True, default=16)
 
     def __check_init__(self):
@@ -173,10 +178,12 @@ class Implementation(AbstractModule):
                 require_nonnegative(name, getattr(self, name))
         for name, kind in _PARTS.items():
             part = getattr(self, name)
-            ok = part is None or isinstance(part, kind)
+            parts = part if name in _BY_CHANNEL and isinstance(part, tuple) else (part,)
+            ok = all(each is None or isinstance(each, kind) for each in parts)
             require(ok, f"Argument `{name}` must be {_KINDS[name]} or None, but is {part!r}.")
         if self.input_range is not None:
-            require_range("input_range", self.input_range)
+            for limits in self.input_range if np.ndim(self.input_range) == 2 else (self.input_range,):
+                require_range("input_range", limits)
         if self.unmatched:
             require_disturbances("unmatched", self.unmatched)
         known = get_args(Beyond)
@@ -191,15 +198,43 @@ class Implementation(AbstractModule):
             )
 
     @property
+    def by_channel(self) -> dict[str, Any]:
+        """What there is for each of several channels, by its name."""
+        given = {name: getattr(self, name) for name in _BY_CHANNEL}
+        ranks = {name: int(name == "input_range") for name in given}
+        return {name: each for name, each in given.items() if isinstance(each, tuple) or np.ndim(each) > ranks[name]}
+
+    def of_channels(self, channels: int) -> "tuple[Implementation, ...]":
+        """That of each channel of a loop with several inputs.
+
+        Args:
+            channels: How many there are.
+
+        Raises:
+            InputError: Of something there are not as many.
+        """
+        found = self.by_channel
+        for name, value in found.items():
+            require(
+                len(value) == channels,
+                f"Argument `{name}` of the implementation must be one for all of the {channels} inputs, or {channels}, "
+                f"but has {len(value)}.",
+            )
+        if not found:
+            return (self,) * channels
+        parts = ({name: value[i] for name, value in found.items()} for i in range(channels))
+        return tuple(dataclasses.replace(self, **each) for each in parts)
+
+    @property
     def is_late(self) -> bool:
         """Whether commands arrive later than they are measured for, and so have to be kept."""
         return self.delay is not None or self.measurement_delay is not None
 
     def _most_under_way(self) -> int:
         """Samples that can be under way at once."""
-        flight = sum(float(part) for part in (self.delay, self.measurement_delay) if part is not None)
+        flight = sum(np.asarray(part) for part in (self.delay, self.measurement_delay) if part is not None)
         late = 0.0 if self.jitter is None else float(self.jitter.fraction)
-        return math.floor(flight / float(self.sample_period) + late) + 1
+        return math.floor(np.max(flight / np.asarray(self.sample_period)) + late) + 1
 
     def instant(self, k: RealScalarLike) -> RealScalarLike:
         """The time [s] of sample k = 0, 1, ...
@@ -283,7 +318,7 @@ class Implementation(AbstractModule):
             delay = getattr(self, name)
             if delay is not None and not is_traced(delay, horizon):
                 require(
-                    bool(delay <= horizon),
+                    bool(np.all(delay <= horizon)),
                     f"Argument `{name}` must not be longer than the horizon, {show(horizon)} s, but is {show(delay)}.",
                 )
 
@@ -291,6 +326,10 @@ class Implementation(AbstractModule):
 _POSITIVE = ("sample_period", "saturation", "rate_limit", "cutoff")
 _NOT_NEGATIVE = ("delay", "measurement_delay", "measurement_resolution", "input_resolution")
 _DELAYS = ("delay", "measurement_delay")
+_BY_CHANNEL = (
+    *("sample_period", "delay", "measurement_delay", "saturation", "input_range", "rate_limit", "input_resolution"),
+    *("actuator", "gain_fault", "cutoff"),
+)
 _PARTS = {"jitter": Jitter, "noise": AbstractNoise, "actuator": AbstractActuator, "gain_fault": GainFault}
 _KINDS = {
     "jitter": "a `Jitter`",

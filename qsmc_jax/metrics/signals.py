@@ -1,6 +1,7 @@
 """The signals of a loop at one instant, as functions of metrics see them, and one step of a solve, as metrics do."""
 
 import abc
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from qsmc_jax.base.module import AbstractModule
@@ -43,6 +44,17 @@ class Signals(NamedTuple):
     d: Any
     w: Any
     g: Any
+
+
+def joint_signals(channels: Sequence[Signals]) -> Signals:
+    """The signals of several channels as one, each with a number for each channel.
+
+    Args:
+        channels: Those of each, at the same time and state; `g` is a row of the decoupling matrix.
+    """
+    first = channels[0]
+    each = {name: tuple(getattr(channel, name) for channel in channels) for name in Signals._fields[2:]}
+    return Signals(first.t, first.x, **each)
 
 
 class AbstractStep(AbstractModule):

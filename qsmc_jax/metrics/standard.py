@@ -43,7 +43,7 @@ class SampledMetrics(AbstractModule):
         has_gradient=True,
     )
     excess_variation_u: Float[Array, ""] = metric(
-        meaning="In the steady phase, total variation of u less that of the equivalent input -w/g",
+        meaning="In the steady phase, total variation of u less that of the equivalent input -w/g (of several -B^-1 w)",
         label="excess variation of u",
         phase="steady",
         loops="sampled",
@@ -97,8 +97,9 @@ class Metrics(AbstractModule):
     Attributes:
         sampled: Additional metrics of a loop with an implementation; None for the ideal loop.
         channels: With several inputs the verdicts and some metrics of each channel, by their columns, such as
-            `peak_ratio[0]`; the others are of all together: the worst, for `energy_u` and `total_variation_u` the sum,
-            for `rms_error` the root of the sum of squares, and `peak_errors` are the channels' one after the other.
+            `peak_ratio[0]`; the others are of all together: the worst, for `energy_u`, `total_variation_u` and
+            `excess_variation_u` the sum, for `rms_error` the root of the sum of squares, and `peak_errors` are the
+            channels' one after the other.
         own: The metrics and requirements of the study, by their columns.
 
     Examples:
@@ -218,7 +219,8 @@ class Metrics(AbstractModule):
         default=None,
     )
     peak_barrier: Float[Array, ""] | None = metric(
-        meaning="With several inputs sup (1/pi) sum ln(1 + tan^2(pi z_i/2)) over the channels, z = sigma/rho",
+        meaning="With several inputs of an ideal loop sup (1/pi) sum ln(1 + tan^2(pi z_i/2)) over the channels, "
+        "z = sigma/rho",
         unit="-",
         label="sup V",
         loops="several",
@@ -227,8 +229,9 @@ class Metrics(AbstractModule):
         default=None,
     )
     barrier_bound: Float[Array, ""] | None = metric(
-        meaning="With several inputs what Lyapunov's inequality allows for `peak_barrier`, by what drives the run when "
-        "it peaks; a higher peak is a defect of the simulator; inf if the decoupling matrix is not definite there",
+        meaning="With several inputs of an ideal loop what Lyapunov's inequality allows for `peak_barrier`, by what "
+        "drives the run when it peaks; a higher peak is a defect of the simulator; inf if the decoupling matrix is "
+        "not definite there",
         unit="-",
         label="bound on sup V",
         loops="several",

@@ -139,7 +139,8 @@ def limits(study: Study, grids: Mapping[str, np.ndarray]) -> Limits:
 
 def _axis(study: Study, name: str, grid: np.ndarray) -> tuple[str, float] | None:
     """The number of the implementation that a name sets, and what one unit of the name is of it; None for none."""
-    if study.nominal.loop.implementation is None or len(grid) < 2 or grid[0] <= 0.0:
+    loop = study.nominal.loop
+    if not isinstance(loop, ClosedLoop) or loop.implementation is None or len(grid) < 2 or grid[0] <= 0.0:
         return None
     low, high = (_numbers(study.substitute(**{name: value}).nominal.loop) for value in (grid[0], grid[-1]))
     for field in low:

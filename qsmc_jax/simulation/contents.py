@@ -47,11 +47,12 @@ def functions_of(loop: ClosedLoop | MultivariableLoop) -> Contents:
     }
     for i, channel in enumerate(loop.channels):
         of = f" of channel {i}" if len(loop.channels) > 1 else ""
-        parts |= {f"{name}{of}": part for name, part in _signals(channel).items()}
-    if isinstance(loop, ClosedLoop) and loop.implementation is not None:
-        parts |= _law(loop, loop.implementation.beyond) | _implemented(loop.implementation)
-    elif isinstance(loop, ClosedLoop) and not isinstance(loop.control, QuasiSlidingControl):
-        parts |= _law(loop, "wrap")
+        found = _signals(channel)
+        if channel.implementation is not None:
+            found |= _law(channel, channel.implementation.beyond) | _implemented(channel.implementation)
+        elif not isinstance(channel.control, QuasiSlidingControl):
+            found |= _law(channel, "wrap")
+        parts |= {f"{name}{of}": part for name, part in found.items()}
     return tuple((name, digest(trace(name, "its arguments", *part[:2], *part[2])[0])) for name, part in parts.items())
 
 

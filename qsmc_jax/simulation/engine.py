@@ -2,7 +2,7 @@
 
 import functools as ft
 from collections.abc import Hashable
-from typing import Any, cast
+from typing import Any
 
 import diffrax as dfx
 import jax
@@ -13,7 +13,6 @@ from qsmc_jax.base.checks import require
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, State
 from qsmc_jax.control.error_bounds import peak_gains
 from qsmc_jax.control.settling import settling_time
-from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.metrics.standard import Metrics
@@ -32,6 +31,7 @@ from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
 from qsmc_jax.simulation.sampled.loop import run_sampled
 from qsmc_jax.simulation.sampled.read import read_sampled_metrics
+from qsmc_jax.simulation.sampled.state import implementation_of
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
 from qsmc_jax.solvers.rosenbrock import RODAS4, RODAS5P, Rosenbrock
 from qsmc_jax.solvers.tsit5 import Tsit5
@@ -61,8 +61,8 @@ def pose(
         measures: The study's own metrics and requirements.
     """
     require(
-        isinstance(loop, ClosedLoop) or settings.coordinates == "funnel",
-        'Setting `coordinates` must be "funnel" for a loop with several inputs, which is solved in no other.',
+        isinstance(loop, ClosedLoop) or settings.coordinates == "funnel" or loop.implementation is not None,
+        'Setting `coordinates` must be "funnel" for an ideal loop with several inputs, which is solved in no other.',
     )
     barrier, kept = Barrier(settings.rtol / settings.rtol), (made_of, settings.rtol)
     if isinstance(loop, ClosedLoop):
@@ -122,28 +122,28 @@ def solve(
 
     Returns:
         The metrics, and at `ts` the coordinates (an array each), or for a loop with an implementation the states and
-        the input (n + 1 arrays); meaningless after the end of a run that stopped early or was refused.
+        the inputs (an array each); meaningless after the end of a run that stopped early or was refused.
     """
-    is_sampled = isinstance(problem, Problem) and problem.loop.implementation is not None
-    solver = _solve_sampled if is_sampled else _solve_ideal
+    solver = _solve_ideal if problem.channels[0].loop.implementation is None else _solve_sampled
     solver = vectorised(solver) if settings.vectorise else solver
     return solver(problem, x0, t1, settings, ts, is_drawn_well)
 
 
 def _solve_sampled(
-    problem: Problem,
+    problem: AbstractProblem,
     x0: State,
     t1: RealScalarLike,
     settings: SolverSettings,
     ts: Float[Array, " times"] | None,
     is_drawn_well: BoolScalarLike,
 ) -> tuple[Metrics, tuple[Array, ...] | None]:
-    horizon, implementation = jnp.asarray(t1), cast(Implementation, problem.loop.implementation)
-    is_fit = problem.loop.control.is_valid() & implementation.is_valid(horizon) & is_drawn_well
-    is_fit = is_fit & is_recorded(problem.loop, horizon)
+    horizon, is_fit = jnp.asarray(t1), is_drawn_well
+    for each in problem.channels:
+        is_fit = each.loop.control.is_valid() & implementation_of(each).is_valid(horizon) & is_fit
+        is_fit = is_fit & is_recorded(each.loop, horizon)
     refused = jnp.where(is_fit, int(Outcome.COMPLETED), int(Outcome.BAD_PARAMETERS))
-    state = run_sampled(problem, implementation, tuple(x0), horizon, is_fit, settings, ts)
-    saved = None if state.saved is None else (*state.saved.x, state.saved.u)
+    state = run_sampled(problem, tuple(x0), horizon, is_fit, settings, ts)
+    saved = None if state.saved is None else (*state.saved.x, *state.saved.u)
     return read_sampled_metrics(problem, refused, horizon, settings.max_steps, state), saved
 
 

@@ -22,7 +22,6 @@ from qsmc_jax.channel import Channel
 from qsmc_jax.control.funnel import AbstractFunnel, Funnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.enclosures.unseen import Step, Unseen, unseen, unseen_each
-from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.plants import AbstractPlant
 from qsmc_jax.model.reference_model import AbstractReferenceModel
@@ -138,38 +137,42 @@ def _hidden_in(
 
 
 def hidden_in_cell(
-    problem: Problem,
-    implementation: Implementation,
+    problem: AbstractProblem,
     step: Step,
     at: Path,
-    u: RealScalarLike,
+    us: Sequence[RealScalarLike],
     rtol: RealScalarLike,
     least: RealScalarLike,
 ) -> RealScalarLike:
-    """How far an open-loop cell could move the sliding variable unseen, in units of what is tolerated.
+    """How far an open-loop cell could move a sliding variable unseen, in units of what is tolerated.
 
     Args:
         problem: The loop.
-        implementation: Its implementation.
         step: The cell.
         at: The state in it, as a function of time.
-        u: Largest input in it.
+        us: For each channel the largest size of the input in it.
         rtol: The relative tolerance.
         least: As for `hidden`.
     """
-    problem, implementation, (t0, t1), u = pytrees.stop_gradient((problem, implementation, (step.t0, step.t1), u))
-    step, loop = Step(t0, t1, step.nodes), problem.loop
-    hiding = _hiding([loop], step, at, [jnp.abs(u)], least, problem.barrier)
+    problem, (t0, t1), us = pytrees.stop_gradient((problem, (step.t0, step.t1), us))
+    step, loops = Step(t0, t1, step.nodes), [each.loop for each in problem.channels]
+    hiding = _hiding(loops, step, at, us, least, problem.barrier)
+    moves = [_hidden_in_held(loop, step, hiding, i, us[i]) for i, loop in enumerate(loops)]
+    moves += [] if is_nothing(hiding.in_states) else [hiding.in_states]
+    return _or_all(ft.reduce(jnp.maximum, moves)) / _worth(rtol)
+
+
+def _hidden_in_held(loop: ClosedLoop, step: Step, hiding: Hiding, channel: int, u: RealScalarLike) -> RealScalarLike:
+    """How far one sliding variable could move unseen under held inputs, in parts of its funnel."""
     # A known gain counts as nothing, a constant of the library's own.
-    pushes = hiding.moved[0].amount + hiding.gains[0].amount * jnp.abs(u)
-    for c, signal in zip(loop.control.surface.c, implementation.unmatched, strict=False):
+    pushes = hiding.moved[channel].amount + hiding.gains[channel].amount * u
+    unmatched = () if loop.implementation is None else loop.implementation.unmatched
+    for c, signal in zip(loop.control.surface.c, unmatched, strict=False):
         pushes = pushes + c * unseen_in_signal(signal, step).amount
     wander = loop.control.surface([unseen_in_reference(loop.reference, i, step).amount for i in range(loop.order)])
     funnel = loop.control.funnel
     wander = wander + unseen_in_funnel(funnel, step, is_rate=False).amount
-    moves = (step.length * pushes + wander) / _narrowest(funnel, step)
-    moves = moves if is_nothing(hiding.in_states) else jnp.maximum(moves, hiding.in_states)
-    return _or_all(moves) / _worth(rtol)
+    return (step.length * pushes + wander) / _narrowest(funnel, step)
 
 
 def _or_all(moves: RealScalarLike) -> RealScalarLike:

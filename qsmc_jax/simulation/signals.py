@@ -19,10 +19,10 @@ from qsmc_jax.metrics.signals import Signals
 from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.simulation.engine import pose, solve
-from qsmc_jax.simulation.ideal.step import ideal_signals, joint_signals
+from qsmc_jax.simulation.ideal.step import ideal_signals, joint_ideal_signals
 from qsmc_jax.simulation.judge import is_refused
-from qsmc_jax.simulation.problem import AbstractProblem, Problem
-from qsmc_jax.simulation.sampled.cell import loop_point, sampled_signals
+from qsmc_jax.simulation.problem import AbstractProblem
+from qsmc_jax.simulation.sampled.cell import loop_points, sampled_signals
 from qsmc_jax.simulation.settings import INSTANT, SolverSettings
 
 _DEFAULT_TIMES = 2001
@@ -96,8 +96,8 @@ def signals_at_start(loop: ClosedLoop | MultivariableLoop, x0: Float[np.ndarray,
     """The signals at time 0 without input, as metrics see them."""
     if isinstance(loop, MultivariableLoop):
         # The inputs are not asked for: any funnel coordinates will do.
-        x, rest = tuple(x0), (jnp.zeros(()),) * len(loop.controls)
-        return joint_signals(loop, np.zeros(()), x, [_at_start(each, (*x, *rest)) for each in loop.channels])
+        x, rest = tuple(x0), (jnp.zeros(()),) * (loop.channels[0].states - loop.states)
+        return joint_ideal_signals(loop, np.zeros(()), x, [_at_start(each, (*x, *rest)) for each in loop.channels])
     return _at_start(loop.whole, loop.start(x0))
 
 
@@ -132,9 +132,9 @@ def _ideal(problem: AbstractProblem, t: Array, y: tuple[Array, ...]) -> GridSign
     return _stacked(ideal_signals(problem, t, y))
 
 
-def _implemented(problem: Problem, t: Array, saved: tuple[Array, ...]) -> GridSignals:
-    *x, u = saved
-    return _stacked(sampled_signals(problem, loop_point(problem, t, tuple(x)), u))
+def _implemented(problem: AbstractProblem, t: Array, saved: tuple[Array, ...]) -> GridSignals:
+    states = len(saved) - len(problem.channels)
+    return _stacked(sampled_signals(problem, loop_points(problem, t, saved[:states]), saved[states:]))
 
 
 def _stacked(now: Signals) -> GridSignals:

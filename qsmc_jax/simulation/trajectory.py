@@ -219,8 +219,10 @@ def _channel_lines(metrics: Metrics, channels: int) -> list[str]:
         verdict, ratio, peak = (f[f"{name}[{i}]"] for name in ("verdict_funnel", "peak_ratio", "peak_u"))
         peaks = f"sup |sigma|/rho {float(ratio):.6g}, sup |u| {float(peak):.6g}"
         lines.append(f"  channel {i}: {Verdict(int(verdict)).name}, {peaks}")
-    barrier = float(np.asarray(metrics.peak_barrier)), float(np.asarray(metrics.barrier_bound))
-    return [*lines, f"  together: sup V {barrier[0]:.6g}, no more than {barrier[1]:.6g} by its bound"]
+    if metrics.peak_barrier is None or metrics.barrier_bound is None:
+        return lines
+    barrier, bound = float(np.asarray(metrics.peak_barrier)), float(np.asarray(metrics.barrier_bound))
+    return [*lines, f"  together: sup V {barrier:.6g}, no more than {bound:.6g} by its bound"]
 
 
 def _sampled_lines(metrics: Metrics) -> list[str]:

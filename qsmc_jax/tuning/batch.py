@@ -133,7 +133,8 @@ class Batch:
             is_sampled = loop.implementation is not None or record.loops != "sampled"
             require(is_sampled, f"{named}, which only a loop with an `implementation` has.")
             has_several = len(loop.channels) > 1 or record.loops != "several"
-            require(has_several, f"{named}, which only a loop with several inputs has.")
+            is_ideal = loop.implementation is None or record.loops != "several"
+            require(has_several and is_ideal, f"{named}, which only an ideal loop with several inputs has.")
             require(record.has_gradient, f"{named}, which has no derivative by the gains.")
         for term in self.terms:
             is_meant = term.statistic not in ("worst", "cvar") or self.study.record_of(term.metric).worse != "low"

@@ -52,7 +52,7 @@ def barrier_bound(problem: JointProblem, running: RunningBarrier) -> Float[Array
     loop, t = problem.loop, running.time
     free, rows = loop.drive(t, running.y[: loop.states])
     pushes, widths, offsets = [], [], []
-    for law, w, s in zip(loop.controls, free, _coordinates(problem, running.y), strict=True):
+    for law, w, s in zip(loop.sliding_laws, free, _coordinates(problem, running.y), strict=True):
         rho, rho_rate = law.funnel.width_and_rate(t)
         pushes.append(w - law.funnel.centre_and_rate(t)[1] - rho_rate * ratio(s))
         widths.append(jnp.asarray(rho))

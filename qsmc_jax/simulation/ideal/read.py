@@ -22,9 +22,9 @@ from qsmc_jax.simulation.ideal.accumulate import Peak, RunningMetrics
 from qsmc_jax.simulation.ideal.barrier import barrier_bound
 from qsmc_jax.simulation.ideal.guarded_solver import Run
 from qsmc_jax.simulation.ideal.input import law_of_coordinate, least_and_largest
-from qsmc_jax.simulation.ideal.joined import joined
 from qsmc_jax.simulation.ideal.step import IdealStep, no_step
 from qsmc_jax.simulation.ideal.step_size import UNRESOLVED
+from qsmc_jax.simulation.joined import joined
 from qsmc_jax.simulation.judge import first_to_apply, is_refused, later_verdicts
 from qsmc_jax.simulation.outcome import Outcome
 from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
-from qsmc_jax.metrics.signals import AbstractStep, Signals
+from qsmc_jax.metrics.signals import AbstractStep, Signals, joint_signals
 from qsmc_jax.multivariable import MultivariableLoop
 from qsmc_jax.numerics.gudermann import ratio
 from qsmc_jax.simulation.problem import AbstractProblem, JointProblem, Problem
@@ -63,7 +63,7 @@ def ideal_signals(problem: AbstractProblem, t: RealScalarLike, y: Scalars) -> Si
     of_channels = [_of_channel(each, t, y) for each in problem.channels]
     if not isinstance(problem, JointProblem):
         return of_channels[0]
-    return joint_signals(problem.loop, t, y[: problem.loop.states], of_channels)
+    return joint_ideal_signals(problem.loop, t, y[: problem.loop.states], of_channels)
 
 
 def _of_channel(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
@@ -78,13 +78,12 @@ def _of_channel(problem: Problem, t: RealScalarLike, y: Scalars) -> Signals:
     return Signals(t, x, desired[:-1], e, rho * part + centre, rho, part, u, d, w, g)
 
 
-def joint_signals(loop: MultivariableLoop, t: RealScalarLike, x: Scalars, of_channels: Sequence[Signals]) -> Signals:
-    """The signals of several channels, each with a number for each channel, at the state `x`."""
-    desired, e, sigma, rho, ratio_, u, d = (
-        tuple(getattr(each, name) for each in of_channels)
-        for name in ("desired", "e", "sigma", "rho", "ratio", "u", "d")
-    )
-    return Signals(t, x, desired, e, sigma, rho, ratio_, u, d[0], *loop.drive(t, x))
+def joint_ideal_signals(
+    loop: MultivariableLoop, t: RealScalarLike, x: Scalars, of_channels: Sequence[Signals]
+) -> Signals:
+    """The signals of several channels of an ideal loop together, at the state `x`."""
+    w, g = loop.drive(t, x)
+    return joint_signals(of_channels)._replace(x=x, d=of_channels[0].d, w=w, g=g)
 
 
 def no_step(y: Scalars) -> Step:

@@ -7,12 +7,10 @@ from jaxtyping import Array, Bool
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import BoolScalarLike, RealScalarLike, Scalars
-from qsmc_jax.metrics.accumulate import States, first_states
-from qsmc_jax.metrics.accumulate import add_step as add_own
 from qsmc_jax.numerics import pytrees
 from qsmc_jax.numerics.hermite import Cubic, integral_of_square
 from qsmc_jax.simulation.problem import Problem
-from qsmc_jax.simulation.sampled.cell import Cell, CellStep, LoopPoint, no_cell
+from qsmc_jax.simulation.sampled.cell import Cell, LoopPoint
 from qsmc_jax.simulation.spans import OutsideStep, Span
 
 # A reversal of the command counts if it is more than this part of the range of the commands so far.
@@ -89,7 +87,6 @@ class RunningCellMetrics(AbstractModule):
     filter: Filter
     least_gain: RealScalarLike
     largest_disturbance: RealScalarLike
-    own: States
 
 
 def first_cell_metrics(problem: Problem, start: LoopPoint) -> RunningCellMetrics:
@@ -116,7 +113,6 @@ def first_cell_metrics(problem: Problem, start: LoopPoint) -> RunningCellMetrics
         filter=Filter(zero, zero, zero, zero),
         least_gain=jnp.asarray(problem.loop.control.gain_sign * start.terms.gain),
         largest_disturbance=jnp.abs(jnp.asarray(start.terms.disturbance)),
-        own=first_states(problem.measures, CellStep(no_cell(start), problem)),
     )
 
 
@@ -165,7 +161,6 @@ def add_cell(problem: Problem, cutoff: RealScalarLike, running: RunningCellMetri
         filter=_filtered(running.filter, cell, cutoff, is_steady),
         least_gain=jnp.minimum(running.least_gain, gain),
         largest_disturbance=jnp.maximum(running.largest_disturbance, jnp.abs(cell.right.terms.disturbance)),
-        own=add_own(problem.measures, running.own, CellStep(cell, problem)),
     )
 
 

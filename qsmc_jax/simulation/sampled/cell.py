@@ -1,20 +1,25 @@
 """A loop at one instant, as far as the input has no say in it; and an open-loop cell, from one instant to another."""
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 
 from qsmc_jax.base.module import AbstractModule
 from qsmc_jax.base.types import RealScalarLike, Scalars
+from qsmc_jax.channel import Channel
 from qsmc_jax.implementation.swing import Swing, held_swing
-from qsmc_jax.metrics.signals import AbstractStep, Signals
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.signals import AbstractStep, Signals, joint_signals
 from qsmc_jax.model.terms import OwnTerms, Terms
 from qsmc_jax.numerics.hermite import Cubic, cubics
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.numerics.linear import eliminate, substitute
+from qsmc_jax.simulation.problem import AbstractProblem, Problem
 
 
 class LoopPoint(AbstractModule):
-    r"""Where a loop is, and what moves it apart from the input.
+    r"""Where a loop is, or one channel of several inputs, and what moves it apart from its input.
 
     Attributes:
         t: Time [s].
@@ -28,6 +33,8 @@ class LoopPoint(AbstractModule):
         rho_rate: Its rate.
         centre: Centre of the funnel.
         centre_rate: Its rate.
+        row: With several inputs what a unit of each adds to the sliding variable's rate.
+        balanced: With several inputs the one that would, together with the others, hold all sliding variables.
     """
 
     t: RealScalarLike
@@ -41,6 +48,8 @@ class LoopPoint(AbstractModule):
     rho_rate: RealScalarLike
     centre: RealScalarLike
     centre_rate: RealScalarLike
+    row: Scalars = ()
+    balanced: RealScalarLike | None = None
 
     @property
     def ratio(self) -> RealScalarLike:
@@ -58,12 +67,14 @@ class LoopPoint(AbstractModule):
     @property
     def equivalent_input(self) -> RealScalarLike:
         r"""$u_{eq} = -w / g$, which would hold the sliding variable where it is; 0 where g is."""
+        if self.balanced is not None:
+            return self.balanced
         has_gain = self.terms.gain != 0.0
         return jnp.where(has_gain, -self.residual / jnp.where(has_gain, self.terms.gain, 1.0), 0.0)
 
 
 def loop_point(problem: Problem, t: RealScalarLike, x: Scalars) -> LoopPoint:
-    """The loop at time t and state x."""
+    """The loop at time t and state x; a channel with the other inputs left out."""
     loop, barrier, terms = problem.loop, problem.barrier, problem.loop.terms(t, x)
     if isinstance(terms, OwnTerms):
         terms = OwnTerms(*barrier(tuple(terms)))
@@ -79,6 +90,56 @@ def loop_point(problem: Problem, t: RealScalarLike, x: Scalars) -> LoopPoint:
     rho = barrier(rho)
     centre = funnel.centre_and_rate(t)
     return LoopPoint(t, x, terms, errors, rates, surface(errors), surface(rates), rho, rho_rate, *centre)
+
+
+def loop_points(problem: AbstractProblem, t: RealScalarLike, x: Scalars) -> tuple[LoopPoint, ...]:
+    """All channels of a loop at time t and state x, without inputs."""
+    points = tuple(loop_point(each, t, x) for each in problem.channels)
+    if len(points) == 1:
+        return points
+    reaches = [_own(point).reach for point in points]
+    rows = problem.barrier([_row(each.loop, t, x, reaches) for each in problem.channels])
+    held = substitute(eliminate([list(row) for row in rows]), tuple(-point.residual for point in points))
+    held = (jnp.where(jnp.isfinite(u), u, 0.0) for u in held)  # 0 where the rows are no basis
+    parts = zip(points, rows, held, strict=True)
+    return tuple(dataclasses.replace(point, row=row, balanced=u) for point, row, u in parts)
+
+
+def _row(loop: ClosedLoop, t: RealScalarLike, x: Scalars, reaches: Sequence[Scalars]) -> Scalars:
+    """What a unit of each input adds to the rate of a channel's sliding variable."""
+    plant = loop.plant
+    assert isinstance(plant, Channel)
+    return tuple(loop.control.surface(plant.outputs_in_motion(t, x, reach, 0.0)[1]) for reach in reaches)
+
+
+def _own(point: LoopPoint) -> OwnTerms:
+    """What moves a plant with several inputs, which is in its own coordinates."""
+    assert isinstance(point.terms, OwnTerms)
+    return point.terms
+
+
+def rates(problem: AbstractProblem, t: RealScalarLike, x: Scalars, inputs: Scalars) -> Scalars:
+    """The state's rates under the inputs."""
+    loops = [each.loop for each in problem.channels]
+    first, *others = (loop.terms(t, x) for loop in loops)
+    found = loops[0].rates(first, x, inputs[0])
+    for terms, u in zip(others, inputs[1:], strict=True):
+        assert isinstance(terms, OwnTerms)
+        found = tuple(rate + g * u for rate, g in zip(found, terms.reach, strict=True))
+    return found
+
+
+def seen(points: tuple[LoopPoint, ...], inputs: Scalars) -> tuple[LoopPoint, ...]:
+    """Each channel as it is under the others' inputs."""
+    found = []
+    for i, point in enumerate(points):
+        others = [(_own(other).reach, point.row[j], inputs[j]) for j, other in enumerate(points) if j != i]
+        for reach, gain, u in others:
+            free = tuple(rate + g * u for rate, g in zip(_own(point).free, reach, strict=True))
+            drift, w = (*point.drift[:-1], point.drift[-1] + gain * u), point.residual + gain * u
+            point = dataclasses.replace(point, terms=_own(point)._replace(free=free), drift=drift, residual=w)
+        found.append(point)
+    return tuple(found)
 
 
 class Cell(AbstractModule):
@@ -105,6 +166,11 @@ class Cell(AbstractModule):
         """Its length [s]."""
         return self.right.t - self.left.t
 
+    def input_at(self, theta: RealScalarLike) -> RealScalarLike:
+        """The input in it, by a parabola; `theta` is 0 at its beginning and 1 at its end."""
+        bend = 2.0 * (self.u0 - 2.0 * self.middle + self.u1)
+        return self.u0 + theta * (self.u1 - self.u0 + (theta - 1.0) * bend)
+
     def sigma(self) -> Cubic:
         """The sliding variable in it."""
         left, right, h = self.left, self.right, self.length
@@ -125,42 +191,50 @@ class Cell(AbstractModule):
 
 
 class CellStep(AbstractStep):
-    """A cell as metrics see it: the state by the cubic through its ends, the input by a parabola."""
+    """A cell, of each channel, as metrics see it: the state by the cubic through its ends, inputs by parabolas."""
 
-    data: Cell
-    problem: Problem
+    data: tuple[Cell, ...]
+    problem: AbstractProblem
 
     @property
     def t0(self) -> RealScalarLike:
-        return self.data.left.t
+        return self.data[0].left.t
 
     @property
     def t1(self) -> RealScalarLike:
-        return self.data.right.t
+        return self.data[0].right.t
 
     def once(self, tree: Any) -> Any:
         return self.problem.barrier(tree)
 
     def at(self, theta: RealScalarLike) -> Signals:
-        cell, loop = self.data, self.problem.loop
+        cell, loop = self.data[0], self.problem.channels[0].loop
         left, right, h = cell.left, cell.right, cell.length
         rates = (loop.rates(left.terms, left.x, cell.u0), loop.rates(right.terms, right.x, cell.u1))
         x = tuple(cubic(theta) for cubic in cubics(h, left.x, right.x, *rates))
-        bend = 2.0 * (cell.u0 - 2.0 * cell.middle + cell.u1)
-        u = cell.u0 + theta * (cell.u1 - cell.u0 + (theta - 1.0) * bend)
-        return sampled_signals(self.problem, loop_point(self.problem, left.t + theta * h, x), u)
+        inputs = tuple(each.input_at(theta) for each in self.data)
+        return sampled_signals(self.problem, loop_points(self.problem, left.t + theta * h, x), inputs)
 
 
-def sampled_signals(problem: Problem, now: LoopPoint, u: RealScalarLike) -> Signals:
-    """All signals of a loop with an implementation at one instant, under the input u."""
+def sampled_signals(problem: AbstractProblem, now: Sequence[LoopPoint], inputs: Scalars) -> Signals:
+    """All signals of a loop with an implementation at one instant, under the inputs."""
+    parts = zip(problem.channels, now, inputs, strict=True)
+    channels = [_of_channel(each, point, u) for each, point, u in parts]
+    if len(channels) == 1:
+        return channels[0]
+    return joint_signals(channels)
+
+
+def _of_channel(problem: Problem, now: LoopPoint, u: RealScalarLike) -> Signals:
     desired = problem.loop.desired(now.t, now.x)[:-1]
     terms = now.terms
+    gain = now.row or terms.gain
     return Signals(
-        now.t, now.x, desired, now.errors, now.sigma, now.rho, now.ratio, u, terms.disturbance, now.residual, terms.gain
+        now.t, now.x, desired, now.errors, now.sigma, now.rho, now.ratio, u, terms.disturbance, now.residual, gain
     )
 
 
-def no_cell(start: LoopPoint) -> Cell:
-    """A cell of no length, without input."""
+def no_cell(start: Sequence[LoopPoint]) -> tuple[Cell, ...]:
+    """A cell of no length, without input, of each channel."""
     zero = jnp.zeros(())
-    return Cell(start, start, zero, zero, zero, held_swing(zero, zero))
+    return tuple(Cell(each, each, zero, zero, zero, held_swing(zero, zero)) for each in start)

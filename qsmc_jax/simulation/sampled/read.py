@@ -1,18 +1,22 @@
 """From the end of a sampled run to what a user reads: outcome, verdict per claim, and its metrics."""
 
+import dataclasses
+import functools as ft
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from qsmc_jax.base.types import RealScalarLike
+from qsmc_jax.base.types import BoolScalarLike, RealScalarLike
 from qsmc_jax.metrics.accumulate import read_states
 from qsmc_jax.metrics.metric import Extent
 from qsmc_jax.metrics.standard import Metrics, SampledMetrics
 from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.simulation.joined import joined
 from qsmc_jax.simulation.judge import first_to_apply, later_verdicts
 from qsmc_jax.simulation.outcome import Outcome
-from qsmc_jax.simulation.problem import Problem
+from qsmc_jax.simulation.problem import AbstractProblem, Problem
 from qsmc_jax.simulation.sampled.cell import CellStep, no_cell
-from qsmc_jax.simulation.sampled.loop import LoopState
+from qsmc_jax.simulation.sampled.state import ChannelState, LoopState
 from qsmc_jax.simulation.spans import Span, is_since, last_outside
 
 # By what part of their size signals may be wrong, over the square root of the relative tolerance.
@@ -20,21 +24,37 @@ _RESOLUTION = 0.2
 
 
 def read_sampled_metrics(
-    problem: Problem, refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, state: LoopState
+    problem: AbstractProblem, refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, state: LoopState
 ) -> Metrics:
     """Outcome first, then the verdicts, then the metrics: those of an unfinished run are masked.
 
     A run that left the funnel is followed further, unless it is lost: its metrics are those of the whole run.
     """
-    cells, end_time = state.cells, state.now.t
     outcome = _outcome(refused, horizon, max_steps, state)
-    is_complete, is_lost = outcome == Outcome.COMPLETED, outcome == Outcome.LOST
+    starts_outside = ft.reduce(jnp.logical_or, [each.starts_outside for each in state.channels])
+    is_admitted = (outcome != Outcome.BAD_PARAMETERS) & ~starts_outside
+    extent = Extent(state.t, horizon, outcome == Outcome.COMPLETED, is_admitted, _RESOLUTION * jnp.sqrt(problem.rtol))
+    own = read_states(problem.measures, state.own, CellStep(no_cell(state.points), problem), extent)
+    parts = zip(problem.channels, state.channels, strict=True)
+    channels = [_of_channel(*each, outcome, is_admitted, horizon, state.steps) for each in parts]
+    return dataclasses.replace(channels[0], own=own) if len(channels) == 1 else joined(channels, None, own)
+
+
+def _of_channel(
+    problem: Problem,
+    state: ChannelState,
+    outcome: Int[Array, ""],
+    is_admitted: BoolScalarLike,
+    horizon: RealScalarLike,
+    steps: RealScalarLike,
+) -> Metrics:
+    """The metrics of a channel, which may be the only one."""
+    cells, end_time = state.cells, state.now.t
+    is_complete, is_lost = outcome == Outcome.COMPLETED, (outcome == Outcome.LOST) & state.is_lost
     reach_time = last_outside(cells.outside, problem.bandwidth, end_time)
     recovery_time = last_outside(cells.last_exit, 1.0, end_time)
     settle_time = jnp.where(cells.unsettled.end >= end_time, jnp.inf, cells.unsettled.end)
-    verdict, reaching, tracking = _verdicts(problem, outcome, horizon, state)
-    resolution = _RESOLUTION * jnp.sqrt(problem.rtol)
-    extent = Extent(end_time, horizon, is_complete, verdict != int(Verdict.INADMISSIBLE), resolution)
+    verdict, reaching, tracking = _verdicts(problem, is_complete, is_admitted, horizon, state)
     steady = end_time - problem.reaching_time
     is_steady = is_complete & (steady > 0.0)
 
@@ -67,7 +87,7 @@ def read_sampled_metrics(
         total_variation_u=known(cells.total_variation),
         least_gain=cells.least_gain,
         largest_disturbance=cells.largest_disturbance,
-        steps=jnp.asarray(state.steps).astype(int),
+        steps=jnp.asarray(steps).astype(int),
         sampled=SampledMetrics(
             recovery_time=known(recovery_time, jnp.inf),
             peak_excess=known(cells.peak_excess, jnp.inf),
@@ -76,42 +96,49 @@ def read_sampled_metrics(
             high_frequency_ratio=known_steady(_ratio(cells.filter.high_power, cells.filter.power)),
             peak_rate_u=known_steady(state.commands.peak_rate),
         ),
-        own=read_states(problem.measures, cells.own, CellStep(no_cell(state.now), problem), extent),
     )
 
 
 def _outcome(refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, state: LoopState) -> Int[Array, ""]:
     """The code of how the run ended."""
-    z = jnp.abs(state.now.ratio)
+    is_full, is_lost = (ft.reduce(jnp.logical_or, flags) for flags in zip(*map(_flags, state.channels), strict=True))
     cases = (
-        (state.now.t >= horizon, Outcome.COMPLETED),
-        (state.computer.has_overflown, Outcome.QUEUE_FULL),
-        (z >= state.farthest, Outcome.LOST),
+        (state.t >= horizon, Outcome.COMPLETED),
+        (is_full, Outcome.QUEUE_FULL),
+        (is_lost, Outcome.LOST),
         (state.steps >= max_steps, Outcome.MAX_STEPS),
     )
     return first_to_apply(refused, cases, Outcome.STEP_TOO_SMALL)
 
 
+def _flags(state: ChannelState) -> tuple[BoolScalarLike, BoolScalarLike]:
+    """Whether its queue is full, and whether it is lost."""
+    return state.computer.has_overflown, state.is_lost
+
+
 def _verdicts(
-    problem: Problem, outcome: Int[Array, ""], horizon: RealScalarLike, state: LoopState
+    problem: Problem,
+    is_complete: BoolScalarLike,
+    is_admitted: BoolScalarLike,
+    horizon: RealScalarLike,
+    state: ChannelState,
 ) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
     """The verdicts on the three claims of Theorem 1, each on its own: a run may leave the funnel and come back.
 
     So a run that was lost, or could not be finished, decides a claim only if it broke it while it was followed.
     """
     held, violated, undecided, inadmissible = (int(verdict) for verdict in Verdict)
-    cells, is_complete = state.cells, outcome == Outcome.COMPLETED
+    cells = state.cells
     funnel = jnp.where(is_complete, held, undecided)
     funnel = jnp.where(cells.first_exit.length > 0.0, violated, funnel)
     last_far = Span(cells.outside.start, cells.outside.start + cells.outside.length)
     is_broken = is_since(last_far, problem.reaching_time), is_since(cells.unsettled, problem.settling_time)
     later = later_verdicts(problem, horizon, is_broken, (is_complete, is_complete))
-    is_admitted = (outcome != Outcome.BAD_PARAMETERS) & ~state.starts_outside
     funnel, reaching, tracking = (jnp.where(is_admitted, verdict, inadmissible) for verdict in (funnel, *later))
     return funnel, reaching, tracking
 
 
-def _violation_time(state: LoopState) -> Float[Array, ""]:
+def _violation_time(state: ChannelState) -> Float[Array, ""]:
     """When the run first left the funnel: inf if it did not."""
     exit_ = state.cells.first_exit
     crossed = exit_.start + exit_.cubic.first_ascent(1.0) * exit_.length

@@ -1,5 +1,6 @@
 """The metrics of several channels together: the worst of each, and all by channel."""
 
+import dataclasses
 import functools as ft
 from collections.abc import Callable, Sequence
 
@@ -7,16 +8,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from qsmc_jax.metrics.claims import GRAVEST
-from qsmc_jax.metrics.standard import BY_CHANNEL, Metrics
+from qsmc_jax.metrics.standard import BY_CHANNEL, Metrics, SampledMetrics
 from qsmc_jax.metrics.verdict import Verdict
 
 
-def joined(channels: Sequence[Metrics], barrier: tuple[Array, Array], own: dict[str, Array]) -> Metrics:
+def joined(channels: Sequence[Metrics], barrier: tuple[Array, Array] | None, own: dict[str, Array]) -> Metrics:
     """The metrics of a run of several channels.
 
     Args:
         channels: The metrics of each.
-        barrier: The peak of V, and its bound.
+        barrier: The peak of V, and its bound; None of a sampled loop, which has none.
         own: Metrics and requirements of the study.
     """
     first = channels[0]
@@ -54,12 +55,22 @@ def joined(channels: Sequence[Metrics], barrier: tuple[Array, Array], own: dict[
         least_gain=least("least_gain"),
         largest_disturbance=most("largest_disturbance"),
         steps=first.steps,
-        coordinate_drift=ft.reduce(jnp.maximum, drifts),
-        peak_barrier=barrier[0],
-        barrier_bound=barrier[1],
+        coordinate_drift=ft.reduce(jnp.maximum, drifts) if drifts else None,
+        peak_barrier=None if barrier is None else barrier[0],
+        barrier_bound=None if barrier is None else barrier[1],
+        sampled=_sampled([each.sampled for each in channels if each.sampled is not None]),
         channels=by_channel,
         own=own,
     )
+
+
+def _sampled(channels: Sequence[SampledMetrics]) -> SampledMetrics | None:
+    """Those of a sampled loop: the worst of each, but excess variation is summed, as total variation is."""
+    if not channels:
+        return None
+    names = [field.name for field in dataclasses.fields(SampledMetrics)]
+    join = {name: jnp.add if name == "excess_variation_u" else jnp.fmax for name in names}
+    return SampledMetrics(**{name: ft.reduce(join[name], [getattr(each, name) for each in channels]) for name in names})
 
 
 def _gravest(verdicts: Sequence[Int[Array, ""]]) -> Int[Array, ""]:
