@@ -76,17 +76,26 @@ class MultivariableLoop(AbstractModule):
         require_fields(self)
         m, owner = len(self.plant.relative_degrees), type(self.plant).__name__
         require(m > 1, f"Argument `plant` must have several inputs, but `{owner}` has one: make a `qj.ClosedLoop`.")
-        law = QuasiSlidingControl if self.implementation is None else AbstractControl
-        kinds = {"references": AbstractReference, "disturbances": AbstractDisturbance, "controls": law}
+        kinds = {"references": AbstractReference, "disturbances": AbstractDisturbance, "controls": AbstractControl}
         for name, kind in kinds.items():
             given = getattr(self, name)
             is_tuple = isinstance(given, tuple) and len(given) == m
             found = f"{len(given)} entries" if isinstance(given, tuple) else f"a `{type(given).__name__}`"
             require(is_tuple, f"Argument `{name}` must be a tuple with one for each of the {m} inputs, but is {found}.")
             is_model = any(isinstance(each, AbstractReferenceModel) for each in given)
-            require(not is_model, f"Argument `{name}` must have no reference model, which is for loops with one input.")
+            require(
+                not is_model,
+                f"Argument `{name}` must have no reference model, which is for loops with one input: write its output "
+                "as a `qj.references.Smooth`, or record it (`qj.references.Recorded`).",
+            )
             for i, each in enumerate(given):
                 require_kind(f"{name}[{i}]", each, kind, kind.hint)
+        for i, law in enumerate(self.controls):
+            require(
+                self.implementation is not None or isinstance(law, QuasiSlidingControl),
+                f"Argument `controls[{i}]` must be a `QuasiSlidingControl` in an ideal loop with several inputs, but is "
+                f"a `{type(law).__name__}`: give an `implementation`, with which it may be any law.",
+            )
         _ = self.channels  # each checks its surface and its reference
 
     @property

@@ -63,6 +63,9 @@ FUNNEL = tuple(qj.Funnel(*each) for each in FUNNELS)
 LAWS = tuple(qj.QuasiSlidingControl(*each, gain=GAIN, is_scaled=True) for each in zip(SURFACES, FUNNEL, strict=True))
 
 
+LIMITED = qj.Implementation(TAU, saturation=8.0)
+
+
 def loop_of(made, controls=LAWS, plant=None):
     """The loop with an implementation."""
     references = qj.references.SumOfSines([0.5], [2.0]), qj.references.SumOfSines([0.8], [1.1])
@@ -97,7 +100,7 @@ def test_held_inputs_are_scipys_and_so_is_where_they_are_too_slow(period):
     each = {"period": period, "saturation": 8.0}
     expected = simulate(by_hand(), channels(each, each), X0, T1)
     assert (expected[1].max() > 1.0) == (period > TAU)
-    made = qj.Implementation(period, saturation=8.0)
+    made = dataclasses.replace(LIMITED, sample_period=period)
     check(qj.simulate(loop_of(made), X0, T1, bandwidth=1.0, settings=qj.tight()), expected)
 
 
@@ -195,20 +198,54 @@ def test_channels_that_do_not_touch_are_scalar_runs():
 
 @pytest.mark.parametrize("x0", [[4.5, -0.8, 0.2], [1.5, -0.8, 9.0]])
 def test_a_start_outside_in_one_channel_admits_none(x0):
-    run = qj.simulate(loop_of(qj.Implementation(TAU)), x0, T1, bandwidth=1.0, settings=qj.tight())
+    run = qj.simulate(loop_of(LIMITED), x0, T1, bandwidth=1.0, settings=qj.tight())
     assert {verdict.name for verdict in run.verdicts.values()} == {"INADMISSIBLE"}
 
 
 def test_what_is_told_of_a_run_has_each_channel():
-    run = qj.simulate(loop_of(qj.Implementation(TAU)), X0, T1, bandwidth=1.0, settings=qj.tight())
+    run = qj.simulate(loop_of(LIMITED), X0, T1, bandwidth=1.0, settings=qj.tight())
     assert "channel 1: HELD" in str(run)
     assert "together" not in str(run)
     assert {"x[2]", "sigma[1]", "u[1]", "d[0]"} <= set(run.columns())
     for i, (sigma, rho) in enumerate(zip(SIGMAS, RHOS, strict=True)):
         np.testing.assert_allclose(run.sigma[:, i], sigma(run.ts, np.asarray(run.x).T), atol=1e-12)
-        held = [tangent(GAIN, sigma(t, run.x[k]), rho(t)) for k, t in enumerate(run.ts) if abs(t / TAU % 1.0) < 1e-9]
+        held = [tangent(GAIN, sigma(t, run.x[k]), rho(t)) for k, t in enumerate(run.ts[:-1]) if t / TAU % 1.0 < 1e-9]
         assert len(held) > 10
         assert np.isin(np.round(held, 6), np.round(np.asarray(run.u[:, i]), 6)).all()
+
+
+class Bump(qj.AbstractDisturbance):
+    """A push of a hundred thousandth of a second, of which nothing is said."""
+
+    size: Float[Array, ""] = float_field()
+
+    def __call__(self, t):
+        """About 0.6137 s."""
+        return self.size * jnp.exp(-(((t - 0.6137) / 1e-5) ** 2))
+
+    @property
+    def bound(self):
+        """Its height."""
+        return jnp.abs(self.size)
+
+    @property
+    def break_times(self):
+        """None."""
+        return jnp.zeros((0,))
+
+
+def test_a_short_push_on_one_channel_is_not_stepped_over_in_a_long_hold():
+    calm, rest = qj.disturbances.Zero(), (qj.references.Constant(0.0),) * 2
+    control = qj.QuasiSlidingControl(SURFACES[0], qj.Funnel(1.0, 1.0, 0.5), gain=1e-3)
+    loop = qj.MultivariableLoop(Apart(), rest, (calm, Bump(1e5)), (control, control), qj.Implementation(0.5))
+    run = qj.simulate(loop, [0.1, 0.0], 1.0, bandwidth=0.8)
+    pushed = 1e5 * 1e-5 * math.sqrt(math.pi)
+    assert {f"funnel[{i}]": run.verdicts[f"funnel[{i}]"].name for i in range(2)} == {
+        "funnel[0]": "HELD",
+        "funnel[1]": "VIOLATED",
+    }
+    assert float(run.metrics.channels["violation_time[1]"]) == pytest.approx(0.6137, abs=2e-5)
+    assert float(run.x[-1, 1]) == pytest.approx(pushed, rel=1e-3)
 
 
 WRONG = {
@@ -223,7 +260,7 @@ WRONG = {
         "`noise` must fit a plant with 3 states, but is for 1",
     ),
     "range": (lambda: qj.Implementation(TAU, input_range=((0.0, 1.0), (1.0, 0.0))), "low < high"),
-    "ideal": (lambda: loop_of(None, (LAWS[0], Leaky(SURFACES[1], FUNNEL[1]))), "`controls\\[1\\]`"),
+    "ideal": (lambda: loop_of(None, (LAWS[0], Leaky(SURFACES[1], FUNNEL[1]))), "with which it may be any law"),
 }
 
 
