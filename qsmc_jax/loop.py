@@ -14,7 +14,7 @@ from qsmc_jax.channel import Channel
 from qsmc_jax.control.control import AbstractControl
 from qsmc_jax.control.dynamic_control import is_continuous, require_memory
 from qsmc_jax.control.law import QuasiSlidingControl
-from qsmc_jax.implementation.implementation import Implementation
+from qsmc_jax.implementation.implementation import Implementation, require_one_input
 from qsmc_jax.model.consistency import require_derivatives
 from qsmc_jax.model.disturbances import AbstractDisturbance
 from qsmc_jax.model.kinks import as_times
@@ -95,8 +95,7 @@ class ClosedLoop(AbstractModule):
     def _require_fitting_implementation(self) -> None:
         made, told = self.implementation, "of the implementation must be left out"
         has_model = isinstance(self.reference, AbstractReferenceModel)
-        for name in () if made is None else made.by_channel:
-            raise InputError(f"Argument `{name}` of the implementation must be one, no list, for a single input.")
+        require_one_input(made)
         require(
             made is None or not made.unmatched or (isinstance(self.plant, AbstractPlant) and not has_model),
             f"Argument `unmatched` {told} for a plant in its own coordinates, where `d` enters where `vector_field` "
@@ -104,8 +103,7 @@ class ClosedLoop(AbstractModule):
         )
         require(
             made is None or made.measurement_delay is None or not has_model,
-            f"Argument `measurement_delay` {told} with a reference model, whose state at the sample is not known when "
-            "the plant's is measured. Use `delay`.",
+            f"Argument `measurement_delay` {told} with a reference model, whose state isn't known before. Use `delay`.",
         )
 
     @property
@@ -365,8 +363,7 @@ class ClosedLoop(AbstractModule):
         if isinstance(plant, AbstractOwnCoordinates):
             d, part = self.disturbed(t), 1.0 if fault is None else fault(t)
             reach = tuple(gi * part for gi in plant.input_matrix(t, x))
-            own = self.disturbance(t) if isinstance(plant, Channel) else d
-            return OwnTerms(tuple(plant.vector_field(t, x, d)), reach, self.gain(t, x) * part, own)
+            return OwnTerms(tuple(plant.vector_field(t, x, d)), reach, self.gain(t, x) * part, d)
         gain = plant.gain(t, x)
         if fault is not None:
             gain = gain * fault(t)

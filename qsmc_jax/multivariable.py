@@ -93,8 +93,8 @@ class MultivariableLoop(AbstractModule):
         for i, law in enumerate(self.controls):
             require(
                 self.implementation is not None or isinstance(law, QuasiSlidingControl),
-                f"Argument `controls[{i}]` must be a `QuasiSlidingControl` in an ideal loop with several inputs, but is "
-                f"a `{type(law).__name__}`: give an `implementation`, with which it may be any law.",
+                f"Argument `controls[{i}]` must be a `QuasiSlidingControl` in an ideal loop with several inputs, but "
+                f"is a `{type(law).__name__}`: give an `implementation`, with which it may be any law.",
             )
         _ = self.channels  # each checks its surface and its reference
 

@@ -20,6 +20,7 @@ from qsmc_jax.base.checks import (
     require_range,
     show,
 )
+from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import AbstractModule, float_field
 from qsmc_jax.base.types import BoolScalarLike, DrawLike, RealScalarLike, Scalars
 from qsmc_jax.control.control import Beyond
@@ -337,6 +338,12 @@ _KINDS = {
     "actuator": "one of `qsmc_jax.actuators` (`FirstOrderLag`, `SecondOrderLag`, `RateLimited`, `DeadZone`)",
     "gain_fault": "a `GainFault`",
 }
+
+
+def require_one_input(made: Implementation | None) -> None:
+    """Raises `InputError` unless everything is one, not a list with one for each of several channels."""
+    for name in () if made is None else made.by_channel:
+        raise InputError(f"Argument `{name}` of the implementation must be one, no list, for a single input.")
 
 
 def random_jitter(draw: DrawLike, name: str, fraction: RealScalarLike) -> Jitter:

@@ -42,10 +42,10 @@ class OwnTerms(NamedTuple):
         free: Rates of the states without input.
         reach: What an input of 1 adds to them.
         gain: The gain of the sliding variable's derivative.
-        disturbance: d; in a channel of several inputs its own.
+        disturbance: d; in a channel of several inputs those of all.
     """
 
     free: Scalars
     reach: Scalars
     gain: RealScalarLike
-    disturbance: RealScalarLike
+    disturbance: Any

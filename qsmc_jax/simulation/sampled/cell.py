@@ -101,8 +101,11 @@ def loop_points(problem: AbstractProblem, t: RealScalarLike, x: Scalars) -> tupl
     rows = problem.barrier([_row(each.loop, t, x, reaches) for each in problem.channels])
     held = substitute(eliminate([list(row) for row in rows]), tuple(-point.residual for point in points))
     held = (jnp.where(jnp.isfinite(u), u, 0.0) for u in held)  # 0 where the rows are no basis
-    parts = zip(points, rows, held, strict=True)
-    return tuple(dataclasses.replace(point, row=row, balanced=u) for point, row, u in parts)
+    found = []
+    for i, (point, row, u) in enumerate(zip(points, rows, held, strict=True)):
+        terms = _own(point)._replace(disturbance=_own(point).disturbance[i])
+        found.append(dataclasses.replace(point, terms=terms, row=row, balanced=u))
+    return tuple(found)
 
 
 def _row(loop: ClosedLoop, t: RealScalarLike, x: Scalars, reaches: Sequence[Scalars]) -> Scalars:
