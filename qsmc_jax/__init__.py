@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from qsmc_jax.control.funnel import Funnel as Funnel
     from qsmc_jax.control.law import QuasiSlidingControl as QuasiSlidingControl
     from qsmc_jax.control.surface import SlidingSurface as SlidingSurface
+    from qsmc_jax.falsification.falsify import falsify as falsify
+    from qsmc_jax.falsification.result import Falsification as Falsification
     from qsmc_jax.implementation import actuators as actuators
     from qsmc_jax.implementation import noises as noises
     from qsmc_jax.implementation.implementation import GainFault as GainFault
@@ -145,6 +147,8 @@ _HOMES = {
     "RobustnessMap": "qsmc_jax.robustness.map",
     "Threshold": "qsmc_jax.robustness.limits",
     "robustness_map": "qsmc_jax.robustness.map",
+    "Falsification": "qsmc_jax.falsification.result",
+    "falsify": "qsmc_jax.falsification.falsify",
     "confidence_sequence": "qsmc_jax.statistics.anytime",
     "runs_needed": "qsmc_jax.statistics.intervals",
     "Verification": "qsmc_jax.verification.result",

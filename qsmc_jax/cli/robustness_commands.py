@@ -1,6 +1,7 @@
-"""The commands `qsmc map`, `qsmc critical` and `qsmc compare`.
+"""The commands `qsmc map`, `qsmc critical`, `qsmc falsify` and `qsmc compare`.
 
-Exit codes: 0 done, 2 bad input, 3 interrupted, or (`critical`) nothing could be shown.
+Exit codes: 0 done, 1 (`falsify`) violated, 2 bad input, 3 interrupted, or (`critical`) nothing could be shown, or
+(`falsify`) undecided.
 """
 
 import contextlib
@@ -14,7 +15,7 @@ import typer
 
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.cli.console import say, say_json
-from qsmc_jax.cli.exit_codes import HELD, UNDECIDED
+from qsmc_jax.cli.exit_codes import HELD, UNDECIDED, code_of
 from qsmc_jax.cli.grids import parse_grids, parse_interval
 from qsmc_jax.cli.options import (
     Atol,
@@ -44,6 +45,7 @@ def register(app: typer.Typer) -> None:
     """Adds the commands to the application."""
     app.command("map")(map_robustness)
     app.command("critical")(find_critical)
+    app.command("falsify")(falsify_study)
     app.command("compare")(compare_studies)
 
 
@@ -136,6 +138,47 @@ def find_critical(
 
         found = _deliver("critical", source, out, as_json, work, lambda result: result.plot())
     raise typer.Exit(HELD if found.is_found else UNDECIDED)
+
+
+def falsify_study(
+    study_file: StudyFile,
+    of: Annotated[str, typer.Option("--of", help="A claim to violate, or a metric to make as bad as possible.")] = (
+        "funnel"
+    ),
+    budget: Annotated[int, typer.Option(help="Simulations at most.")] = 1000,
+    adversary: Annotated[
+        int | None, typer.Option(help="Worst disturbance that switches so often at most; default the study's own.")
+    ] = None,
+    tail: Annotated[float, typer.Option(help="Probability cut off where a distribution has no end.")] = 1e-3,
+    seed: Seed = 0,
+    overrides: Overrides = None,
+    out: Out = None,
+    as_json: Json = False,
+    rtol: Rtol = 1e-6,
+    atol: Atol = None,
+    max_steps: MaxSteps = 100_000,
+    method: Method = "auto",
+    threads: Threads = None,
+    cache: Cache = True,
+) -> None:
+    """Search the worst scenario that a study allows, for a claim or a metric.
+
+    Exit codes: 0 no violation found, 1 a violation was found, 2 bad input, 3 undecided or interrupted.
+    """
+    with session(cache):
+        from qsmc_jax.falsification.falsify import falsify
+        from qsmc_jax.simulation.settings import SolverSettings
+
+        source = Source.read(study_file)
+        study = load_study(source, overrides or [])
+        settings = SolverSettings(rtol, atol, max_steps, method)
+
+        def work(progress: Any) -> Any:
+            options = {"budget": budget, "seed": seed, "adversary": adversary, "tail": tail}
+            return falsify(study, of, **options, settings=settings, threads=threads, progress=progress)
+
+        found = _deliver("falsification", source, out, as_json, work, lambda result: result.plot())
+    raise typer.Exit(code_of(found.verdict.name))
 
 
 def compare_studies(

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from qsmc_jax.metrics.standard import Metrics
 from qsmc_jax.simulation.settings import CHECKPOINTS, SolverSettings
 from qsmc_jax.study.batches import BatchSolver, thread_count
 from qsmc_jax.study.one_run import run
@@ -82,6 +83,44 @@ def differentiate(
     if settings.adjoint == "reverse" and study.nominal.loop.implementation is None:
         is_known &= (steps <= CHECKPOINTS)[:, None]
     return Tangents(values, np.where(is_known[:, :, None], jacobian, 0.0), is_known, verdict, outcome)
+
+
+@dataclasses.dataclass(frozen=True)
+class Along:
+    """Solves runs together, each with the slope of one metric along a direction of the unit cube.
+
+    A gradient is a lane for each of its entries, and a run without one a lane along nothing: so one program of a fixed
+    size serves all. Made twice of equal settings it is equal, so that nothing is compiled twice.
+
+    Attributes:
+        choices: What is static in the settings.
+        metric: A column of the table of runs, a number with a derivative.
+    """
+
+    choices: tuple[tuple[str, Any], ...]
+    metric: str
+
+    def __call__(
+        self,
+        scenario: Any,
+        points: Float[Array, "lanes dim"],
+        values: Mapping[str, Array],
+        bandwidth: Float[Array, "..."],
+        rtol: Float[Array, ""],
+        atol: Float[Array, ""],
+        directions: Float[Array, "lanes dim"],
+    ) -> tuple[dict[str, Array], Metrics, Float[Array, " lanes"]]:
+        settings = SolverSettings(rtol, atol, **dict(self.choices))
+
+        def along(point: Float[Array, " dim"], direction: Float[Array, " dim"]) -> Any:
+            def solve(point: Float[Array, " dim"]) -> Any:
+                drawn, made = run(scenario, settings, bandwidth, values, point)
+                return made.columns()[self.metric], (drawn, made)
+
+            _, slope, (drawn, made) = jax.jvp(solve, (point,), (direction,), has_aux=True)
+            return drawn, made, slope
+
+        return jax.vmap(along)(points, directions)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -126,19 +126,10 @@ def recheck(rows: Runs, solve: Solve, tiers: Tiers) -> tuple[NumericalError, dic
     Returns:
         All changes, and what the check says of each claim, and of all together.
     """
-    _, first = np.unique(rows["index"], return_index=True)
-    rows = rows.take(first)
-    rows = rows.take((rows["verdict"] == Verdict.HELD) | (rows["verdict"] == Verdict.VIOLATED))
-    _LOG.info("solving %d runs another way, as a check", len(rows))
-    parts = [rows.take(rows["tier"] == tier) for tier in range(TIERS)]
-    pairs = [
-        (part, concatenate(list(solve(part["index"], **tiers.options(tiers.check_of(tier))))))
-        for tier, part in enumerate(parts)
-        if len(part)
-    ]
-    if not pairs:
+    pair = solved_again(rows, solve, tiers)
+    if pair is None:
         return NumericalError(0, math.nan, 0, 0, {}), dict.fromkeys((*rows.claims, TOGETHER), ClaimCheck(0, 0, 0))
-    before, after = (concatenate(tables) for tables in zip(*pairs, strict=True))
+    before, after = pair
     was, now = before.verdicts, said(after)
     is_changed = _changed(was, now)
     is_known = is_changed.any(axis=0) | ~((was != Verdict.UNDECIDED) & (now == Verdict.UNDECIDED)).any(axis=0)
@@ -152,6 +143,33 @@ def recheck(rows: Runs, solve: Solve, tiers: Tiers) -> tuple[NumericalError, dic
     )
     of_each = zip((*was, together(was)), (*now, together(now)), strict=True)
     return error, {claim: _claim_check(*of) for claim, of in zip((*rows.claims, TOGETHER), of_each, strict=True)}
+
+
+def solved_again(rows: Runs, solve: Solve, tiers: Tiers) -> tuple[Runs, Runs] | None:
+    """Decided rows, and what they are by the tier that checks the one that decided each.
+
+    Args:
+        rows: Rows with their column `tier`; those of one index count once, those without a verdict not at all.
+        solve: `stream` of the study.
+        tiers: Settings of each tier.
+
+    Returns:
+        Both tables, row by row; None if there is no such row.
+    """
+    _, first = np.unique(rows["index"], return_index=True)
+    rows = rows.take(first)
+    rows = rows.take((rows["verdict"] == Verdict.HELD) | (rows["verdict"] == Verdict.VIOLATED))
+    _LOG.info("solving %d runs another way, as a check", len(rows))
+    parts = [rows.take(rows["tier"] == tier) for tier in range(TIERS)]
+    pairs = [
+        (part, concatenate(list(solve(part["index"], **tiers.options(tiers.check_of(tier))))))
+        for tier, part in enumerate(parts)
+        if len(part)
+    ]
+    if not pairs:
+        return None
+    before, after = (concatenate(tables) for tables in zip(*pairs, strict=True))
+    return before, after
 
 
 def _changed(was: Int[np.ndarray, "..."], now: Int[np.ndarray, "..."]) -> Bool[np.ndarray, "..."]:

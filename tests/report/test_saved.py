@@ -33,6 +33,7 @@ RESULTS = {
     "signals": lambda study: qj.signals(study, [3, 1], ts=[0.0, 1.0, 2.0]),
     "map": lambda study: qj.robustness_map(study, {"mu": [1.0, 2.0]}, runs=64, block=64),
     "critical value": lambda study: qj.critical_value(study, "t1", 0.2, between=(0.5, 4.0), steps=2, block=64),
+    "falsification": lambda study: qj.falsify(study, "limit", budget=20, adversary=0),
     "comparison": lambda study: qj.compare({"one": study, "two": study}, 64, block=64),
     "landscape": lambda study: qj.landscape(study, ["mu", "t1"], "mean(peak_u)", points=2, runs=64, block=64),
 }
