@@ -63,7 +63,9 @@ if TYPE_CHECKING:
     from qsmc_jax.simulation.trajectory import Trajectory as Trajectory
     from qsmc_jax.simulation.trajectory import simulate as simulate
     from qsmc_jax.statistics.anytime import confidence_sequence as confidence_sequence
+    from qsmc_jax.statistics.bands import Band as Band
     from qsmc_jax.statistics.intervals import runs_needed as runs_needed
+    from qsmc_jax.statistics.shift import Shift as Shift
     from qsmc_jax.study.cases import table_of as table_of
     from qsmc_jax.study.draw import Draw as Draw
     from qsmc_jax.study.monte_carlo import monte_carlo as monte_carlo
@@ -150,6 +152,8 @@ _HOMES = {
     "Falsification": "qsmc_jax.falsification.result",
     "falsify": "qsmc_jax.falsification.falsify",
     "confidence_sequence": "qsmc_jax.statistics.anytime",
+    "Band": "qsmc_jax.statistics.bands",
+    "Shift": "qsmc_jax.statistics.shift",
     "runs_needed": "qsmc_jax.statistics.intervals",
     "Verification": "qsmc_jax.verification.result",
     "verify": "qsmc_jax.verification.verify",

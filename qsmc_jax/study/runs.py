@@ -1,6 +1,7 @@
 """The table of a study: one row a run, one column a name or a metric."""
 
 import dataclasses
+import math
 from collections.abc import ItemsView, Iterator, KeysView, Mapping, Sequence, ValuesView
 from typing import Any, overload
 
@@ -15,6 +16,7 @@ from qsmc_jax.metrics.claims import claims_of, verdict_column
 from qsmc_jax.metrics.record import Record
 from qsmc_jax.metrics.standard import record_of
 from qsmc_jax.metrics.verdict import Verdict
+from qsmc_jax.statistics.bands import Band, next_run
 
 # Rows that a notebook shows.
 _SHOWN = 5
@@ -144,6 +146,55 @@ class Runs:
             column: The column.
         """
         return self.records.get(column) or record_of(column)
+
+    def band(self, column: str, confidence: float = 0.95, *, least: float = -math.inf, most: float = math.inf) -> Band:
+        """What the runs say of the whole distribution of a column: CDF, quantiles, mean tail, all at once.
+
+        For independent runs, those of `Random()`, whose number was not chosen by looking at them. INADMISSIBLE ones are
+        left out; one in which the column is not known, as where it is undecided, may be anywhere.
+
+        Args:
+            column: A metric, or a name that the study draws.
+            confidence: Confidence of the whole band, strictly between 0 and 1.
+            least: What the column is never below, from a proof say; -inf for nothing known.
+            most: What it never exceeds; inf for nothing known.
+
+        Examples:
+            >>> import qsmc_jax as qj
+            >>> def scenario(draw):
+            ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
+            >>> runs = qj.monte_carlo(qj.Study(scenario, bandwidth=0.1), runs=64, block=64)
+            >>> low, high = runs.band("peak_u").quantile(0.5)
+            >>> bool(low < high < runs["peak_u"].max())
+            True
+        """
+        values, unknown = self._known(column)
+        return Band(column, self.record_of(column).unit, values, unknown, confidence, least, most)
+
+    def next_run(self, column: str, probability: float) -> float:
+        """A number that one further run does not pass in the column's worse direction with the given probability.
+
+        The probability is over these runs and the next together; `band` has statements with confidence.
+
+        Args:
+            column: As for `band`; where neither direction is worse, the number is an upper one.
+            probability: Strictly between 0 and 1, at most n/(n + 1) for n runs: else the number is infinite.
+
+        Examples:
+            >>> import numpy as np
+            >>> import qsmc_jax as qj
+            >>> columns = {"index": np.arange(19), "verdict": np.zeros(19, int), "peak_u": np.arange(19.0)}
+            >>> qj.Runs(columns, names=()).next_run("peak_u", 0.95)
+            18.0
+        """
+        tail = "low" if self.record_of(column).worse == "low" else "high"
+        return next_run(*self._known(column), probability, tail)
+
+    def _known(self, column: str) -> tuple[np.ndarray, int]:
+        """The known values of a column in admissible runs, and in how many it is not known."""
+        values = np.asarray(self[column][self["verdict"] != Verdict.INADMISSIBLE], np.float64)
+        is_known = ~np.isnan(values)
+        return values[is_known], int((~is_known).sum())
 
     def to_pandas(self) -> Any:
         """The table as a `pandas.DataFrame` over the index of the run; needs the extra `notebook`."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from qsmc_jax.base.checks import show
+from qsmc_jax.base.checks import require, show
 from qsmc_jax.display.notebook import as_html
 from qsmc_jax.display.result import AbstractResult
 from qsmc_jax.metrics.claims import TOGETHER, breached, breaching, headline
@@ -16,6 +16,7 @@ from qsmc_jax.simulation.probed import probed_functions, said_of_probed
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.simulation.trajectory import reaching_time
 from qsmc_jax.statistics.intervals import runs_needed
+from qsmc_jax.statistics.shift import Shift, survived, under_divergence, under_ratio, under_variation
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
 from qsmc_jax.verification.counts import HEADING, Counts
@@ -23,6 +24,9 @@ from qsmc_jax.verification.numerical_error import NumericalError
 from qsmc_jax.verification.result_plots import plot_margin, plot_verification
 from qsmc_jax.verification.summary import Histogram, Range
 from qsmc_jax.verification.tiers import Tiers
+
+# Divergences [nat] of which the summary tells what the probability is at most.
+_DIVERGENCES = (1e-3, 1e-2, 1e-1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +98,8 @@ class Verification(AbstractResult):
         >>> found = qj.verify(study, runs=64, block=64)
         >>> found.verdict.name, found.claims[0].held, found.plan(1e-3)
         ('HELD', 64, 3688)
+        >>> round(found.shifted(divergence=0.01), 4), round(found.survives(below=0.1).ratio, 2)
+        (0.0946, 1.79)
     """
 
     study: Study
@@ -159,6 +165,7 @@ class Verification(AbstractResult):
             "values": {name: value.tolist() for name, value in self.study.values.items()},
             "claims": [_summary(claim) for claim in self.claims],
             "together": _summary(self.together),
+            "shifted": [{"divergence": each, "high": self.shifted(divergence=each)} for each in _DIVERGENCES],
             "probed": list(probed_functions(self.study.nominal.loop)),
             "numerical_error": dataclasses.asdict(self.numerical_error),
             "firmer": {"rtol": float(firmer.rtol), "max_steps": firmer.max_steps, "method": firmer.method},
@@ -260,6 +267,41 @@ class Verification(AbstractResult):
             probability: What is to be shown, strictly between 0 and 1.
         """
         return runs_needed(probability, self.confidence)
+
+    def shifted(
+        self, *, divergence: float | None = None, variation: float | None = None, ratio: float | None = None
+    ) -> float:
+        """The upper end of the violation probability if the draws have another distribution than the study says.
+
+        Give one distance. The bound is sharp: some distribution that near has it, if the upper end is the probability.
+
+        Args:
+            divergence: Kullback-Leibler divergence from the study's distribution at most [nat], at least 0.
+            variation: Total variation at most: the largest difference of any probability.
+            ratio: How many times as probable as the study says anything may be, at least 1.
+
+        Returns:
+            The bound on the probability that `conclusion` is about, with the same confidence.
+
+        Raises:
+            InputError: Not exactly one distance is given, or it is out of range.
+        """
+        bounds = {under_divergence: divergence, under_variation: variation, under_ratio: ratio}
+        given = [(bound, distance) for bound, distance in bounds.items() if distance is not None]
+        require(len(given) == 1, f"Give one of `divergence`, `variation` and `ratio`, not {len(given)} of them.")
+        ((bound, distance),) = given
+        return bound(self.headline.high, distance)
+
+    def survives(self, below: float) -> Shift:
+        """How far the distribution of the draws may be off, and the violation probability still be at most `below`.
+
+        Args:
+            below: The probability, strictly between 0 and 1.
+
+        Returns:
+            The largest distances; NaN where even the study's own distribution is not shown to be below.
+        """
+        return survived(self.headline.high, below)
 
     def __str__(self) -> str:
         rows = [f"{self.runs} runs, seed {self.seed}, bandwidth {show(np.float64(self.study.bandwidth))}"]

@@ -1,11 +1,13 @@
 """The worst scenario of loops of order 1, s' = d + g u, whose worst is known in closed form."""
 
 import math
+import runpy
 
 import numpy as np
 import pytest
 import scipy.stats
 
+import places
 import qsmc_jax as qj
 from drawing import draws_in_given_axes
 from problems import STILL, STILL_BANDWIDTH, WIDTH, escape_time
@@ -221,3 +223,23 @@ def test_bad_arguments_are_named(arguments, message):
 def test_nothing_can_replace_no_disturbance():
     with pytest.raises(ValueError, match="`adversary` must take the place of a disturbance"):
         qj.falsify(CALM.substitute(spread=0.0, n=0.0), adversary=0)
+
+
+EXAMPLES = {
+    # From the steady and the first peaks under a constant disturbance at its bound; sup |u| of a simulation by hand.
+    "example1_uncertain": ({}, 400, 8.02, range(10)),
+    "example2_uncertain": ({"rho0": 5.0, "mu": 3.0, "rho_inf": 0.05}, 400, 35.3, range(2)),
+    "example2_uncertain, box of gains": ({}, 400, 37.9, range(2)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_known_worst_of_the_examples_is_found_from_every_seed(name):
+    fixed, budget, least, seeds = EXAMPLES[name]
+    file = places.ROOT / "studies" / f"{name.partition(',')[0]}.py"
+    study = runpy.run_path(str(file))["study"].substitute(**fixed)
+    found = [qj.falsify(study, "peak_u", budget=budget, seed=seed, adversary=0) for seed in seeds]
+    assert min(each.value for each in found) >= least
+    assert all(each.verdict == qj.Verdict.HELD for each in found)
+    assert float(found[0].replay().metrics.peak_u) == pytest.approx(found[0].value, rel=GOOD)
