@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 import qsmc_jax as qj
 from qsmc_jax.base.module import float_field
 from qsmc_jax.enclosures.unseen import Nodes, Step
-from qsmc_jax.implementation.implementation import Implementation
 from qsmc_jax.simulation.engine import pose
 from qsmc_jax.simulation.guard import hidden, hidden_in_cell
 
@@ -197,8 +196,8 @@ def test_an_open_cell_hides_what_pushes_in_it():
         (Bumping(0.0, 1.0, 0.5), qj.disturbances.Zero(), -40.0, 40.0 * 0.5 * area),
     ):
         problem = problem_of(plant, disturbance)
-        said = float(hidden_in_cell(problem, Implementation(LENGTH), step, at, jnp.asarray(u), RTOL, 0.01)) * WORTH
+        said = float(hidden_in_cell(problem, step, at, [jnp.asarray(abs(u))], RTOL, 0.01)) * WORTH
         assert moved / RHO <= said <= 20.0 * moved / RHO
     leap = problem_of(Steady(1.0), reference=Reference(0.03))
-    said = float(hidden_in_cell(leap, Implementation(LENGTH), step, at, jnp.zeros(()), RTOL, 0.01)) * WORTH
+    said = float(hidden_in_cell(leap, step, at, [jnp.zeros(())], RTOL, 0.01)) * WORTH
     assert said >= 0.03 / RHO * (1.0 - 1e-6)

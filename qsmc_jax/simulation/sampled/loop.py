@@ -343,5 +343,5 @@ def _judged(constants: LoopConstants, state: LoopState) -> LoopState:
         & (state.step > _SHORTEST_STEP * constants.horizon)
     )
     for each in state.channels:
-        goes_on = goes_on & ~each.is_lost & ~each.computer.has_overflown
+        goes_on = goes_on & each.goes_on
     return dataclasses.replace(state, is_running=state.is_running & goes_on)

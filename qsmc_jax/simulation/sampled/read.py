@@ -30,12 +30,13 @@ def read_sampled_metrics(
 
     A run that left the funnel is followed further, unless it is lost: its metrics are those of the whole run.
     """
-    outcome = _outcome(refused, horizon, max_steps, state)
+    lost = [each.is_lost for each in state.channels]
+    outcome = _outcome(refused, horizon, max_steps, state, ft.reduce(jnp.logical_or, lost))
     starts_outside = ft.reduce(jnp.logical_or, [each.starts_outside for each in state.channels])
     is_admitted = (outcome != Outcome.BAD_PARAMETERS) & ~starts_outside
     extent = Extent(state.t, horizon, outcome == Outcome.COMPLETED, is_admitted, _RESOLUTION * jnp.sqrt(problem.rtol))
     own = read_states(problem.measures, state.own, CellStep(no_cell(state.points), problem), extent)
-    parts = zip(problem.channels, state.channels, strict=True)
+    parts = zip(problem.channels, state.channels, lost, strict=True)
     channels = [_of_channel(*each, outcome, is_admitted, horizon, state.steps) for each in parts]
     return dataclasses.replace(channels[0], own=own) if len(channels) == 1 else joined(channels, None, own)
 
@@ -43,6 +44,7 @@ def read_sampled_metrics(
 def _of_channel(
     problem: Problem,
     state: ChannelState,
+    is_lost: BoolScalarLike,
     outcome: Int[Array, ""],
     is_admitted: BoolScalarLike,
     horizon: RealScalarLike,
@@ -50,7 +52,7 @@ def _of_channel(
 ) -> Metrics:
     """The metrics of a channel, which may be the only one."""
     cells, end_time = state.cells, state.now.t
-    is_complete, is_lost = outcome == Outcome.COMPLETED, (outcome == Outcome.LOST) & state.is_lost
+    is_complete, is_lost = outcome == Outcome.COMPLETED, (outcome == Outcome.LOST) & is_lost
     reach_time = last_outside(cells.outside, problem.bandwidth, end_time)
     recovery_time = last_outside(cells.last_exit, 1.0, end_time)
     settle_time = jnp.where(cells.unsettled.end >= end_time, jnp.inf, cells.unsettled.end)
@@ -99,21 +101,18 @@ def _of_channel(
     )
 
 
-def _outcome(refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, state: LoopState) -> Int[Array, ""]:
+def _outcome(
+    refused: Int[Array, ""], horizon: RealScalarLike, max_steps: int, state: LoopState, is_lost: BoolScalarLike
+) -> Int[Array, ""]:
     """The code of how the run ended."""
-    is_full, is_lost = (ft.reduce(jnp.logical_or, flags) for flags in zip(*map(_flags, state.channels), strict=True))
+    has_overflown = ft.reduce(jnp.logical_or, [each.computer.has_overflown for each in state.channels])
     cases = (
         (state.t >= horizon, Outcome.COMPLETED),
-        (is_full, Outcome.QUEUE_FULL),
+        (has_overflown, Outcome.QUEUE_FULL),
         (is_lost, Outcome.LOST),
         (state.steps >= max_steps, Outcome.MAX_STEPS),
     )
     return first_to_apply(refused, cases, Outcome.STEP_TOO_SMALL)
-
-
-def _flags(state: ChannelState) -> tuple[BoolScalarLike, BoolScalarLike]:
-    """Whether its queue is full, and whether it is lost."""
-    return state.computer.has_overflown, state.is_lost
 
 
 def _verdicts(

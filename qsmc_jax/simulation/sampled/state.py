@@ -60,6 +60,11 @@ class ChannelState(AbstractModule):
         """Whether it is that far out."""
         return jnp.abs(self.now.ratio) >= self.farthest
 
+    @property
+    def goes_on(self) -> BoolScalarLike:
+        """Whether it can be followed further: it is not that far out, and its queue has held all commands."""
+        return (jnp.abs(self.now.ratio) < self.farthest) & ~self.computer.has_overflown
+
 
 class LoopState(AbstractModule):
     """Everything that a run carries.
