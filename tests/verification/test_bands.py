@@ -36,10 +36,11 @@ def test_the_band_covers_as_often_as_it_says_whatever_is_not_known(hidden):
     """A tenth of the runs is not known, chosen by an enemy who sees them all."""
     parts = {"none": slice(0), "largest": slice(90, None), "smallest": slice(10), "middle": slice(45, 55)}
     missed = 0
-    for each in np.sort(samples(), axis=1):
+    repeats = 120
+    for each in np.sort(samples()[:repeats], axis=1):
         known = np.delete(each, np.arange(RUNS)[parts[hidden]])
         missed += not covers(band(known, RUNS - len(known)))
-    assert missed / REPEATS <= RISK + GATE
+    assert missed / repeats <= RISK + 3.0 * math.sqrt(RISK * (1.0 - RISK) / repeats)
 
 
 def test_the_band_of_all_known_runs_is_hardly_wider_than_it_must_be():
