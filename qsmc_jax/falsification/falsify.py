@@ -82,7 +82,7 @@ def falsify(
         >>> found = qj.falsify(qj.Study(scenario, bandwidth=0.1), "peak_u", budget=100, adversary=0)
         >>> print(found)
         NO VIOLATION FOUND ...
-        >>> float(found.values["adversary.level"]), bool(found.value > found.random_value)
+        >>> round(float(found.values["adversary.level"]), 6), bool(found.value > found.random_value)
         (-1.0, True)
     """
     require_study(study)

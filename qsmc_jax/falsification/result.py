@@ -63,7 +63,7 @@ class Falsification(AbstractResult):
         ...     return qj.Scenario(qj.paper.example1(), x0=draw.uniform("x0", 0.1, 0.9, shape=(2,)), t1=2.0)
         >>> found = qj.falsify(qj.Study(scenario, bandwidth=0.1), "peak_ratio", budget=64)
         >>> found.verdict.name, found.column, found.values["x0"].round(3).tolist()
-        ('HELD', 'peak_ratio', [0.1, 0.1])
+        ('HELD', 'peak_ratio', [0.9, 0.1])
     """
 
     study: Study

@@ -42,7 +42,7 @@ class Band(AbstractResult):
         >>> import qsmc_jax as qj
         >>> band = qj.Band("peak", "N", np.linspace(0.0, 1.0, 1001), 0, 0.95, most=1.2)
         >>> [round(end, 3) for end in band.quantile(0.5)], [round(end, 3) for end in band.cvar(0.9)]
-        ([0.457, 0.543], [0.907, 1.038])
+        ([0.457, 0.543], [0.907, 1.07])
 
     Source: Dvoretzky, Kiefer and Wolfowitz (1956), Massart (1990); unknown values as Horowitz and Manski (2000).
     """
