@@ -99,7 +99,7 @@ class Verification(AbstractResult):
         >>> found.verdict.name, found.claims[0].held, found.plan(1e-3)
         ('HELD', 64, 3688)
         >>> round(found.shifted(divergence=0.01), 4), round(found.survives(below=0.1).ratio, 2)
-        (0.0946, 1.79)
+        (0.0913, 1.79)
     """
 
     study: Study
