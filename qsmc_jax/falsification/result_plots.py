@@ -31,6 +31,6 @@ def plot_falsification(result: Any, ax: Any = None) -> Any:
     if result.first_violation_at is not None:
         ax.axvline(result.first_violation_at, color=RED, ls=":", label="first violation")
     ax.set(xlabel="simulations", ylabel=result.record.axis, xlim=(0, result.simulations))
-    ax.set_title(result.conclusion().partition(":")[0], fontsize=10)
+    ax.set_title(result.conclusion().partition(";")[0].partition(":")[0], fontsize=10)
     ax.legend(loc="best", fontsize=8)
     return ax
