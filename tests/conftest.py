@@ -55,6 +55,12 @@ def pytest_configure(config):
         _forget_old_programs()
 
 
+def pytest_runtest_setup(item):
+    """What holds of programs compiled as for users only is asked of these alone."""
+    if item.get_closest_marker("as_users") and os.environ.get("XLA_FLAGS") == _QUICK_TO_COMPILE:
+        pytest.skip("of programs compiled as for users: put `XLA_FLAGS=` in front")
+
+
 def _forget_old_programs():
     """Those of the tests' own folder, lest it grow with every change."""
     for program in (places.ROOT / ".pytest_cache" / "d" / "qsmc_jax").glob("*"):

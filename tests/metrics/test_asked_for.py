@@ -35,6 +35,7 @@ def flops(made):
     return program.cost_analysis()["flops"], program.as_text().count(" parameter(")
 
 
+@pytest.mark.as_users
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [lambda: study, lambda: qj.Study(sampled, bandwidth=0.2)], ids=["ideal", "sampled"])
 def test_rows_of_a_study_that_asks_for_less_are_the_same_where_they_are(make):

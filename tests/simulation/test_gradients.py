@@ -152,6 +152,7 @@ def test_gradients_are_finite_in_every_lane_whatever_became_of_it(is_sampled, mo
         assert made.jacobian[made.verdict == qj.Verdict.HELD].any(axis=(1, 2)).mean() > 0.5
 
 
+@pytest.mark.as_users
 @pytest.mark.slow
 def test_reverse_mode_is_forward_mode_in_long_runs_and_unknown_in_longer_ones(monkeypatch):
     """1200 to 2100 steps: nothing is solved again. With room for fewer, no gradient instead of another run's."""
