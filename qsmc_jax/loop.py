@@ -103,7 +103,7 @@ class ClosedLoop(AbstractModule):
         )
         require(
             made is None or made.measurement_delay is None or not has_model,
-            f"Argument `measurement_delay` {told} with a reference model, whose state isn't known before. Use `delay`.",
+            f"Argument `measurement_delay` {told} with a reference model: its state is not known ahead. Use `delay`.",
         )
 
     @property

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.metrics.claims import margin_column, verdict_column
 from qsmc_jax.metrics.record import Record
-from qsmc_jax.metrics.standard import columns_of_channels
+from qsmc_jax.metrics.standard import columns_of_channels, kinds_of
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.study.runs import Runs
 from qsmc_jax.study.study import Study
@@ -88,15 +88,10 @@ def metrics_of(study: Study) -> dict[str, Record]:
         study: The study.
     """
     loop = study.nominal.loop
-    is_sampled, several = loop.implementation is not None, len(loop.channels) > 1
-    columns: list[str] = []
+    kinds, columns = kinds_of(loop), list[str]()
     for name in study.standard:
-        wanted = study.record_of(name).loops
-        if (wanted == "sampled" and not is_sampled) or (wanted == "several" and not several):
-            continue
-        columns += [f"{name}[{i}]" for i in range(loop.order)] if name == "peak_error" else [name]
-    if loop.axis == "derivative" and "coordinate_drift" in columns:
-        columns.remove("coordinate_drift")
+        if study.record_of(name).loops in kinds:
+            columns += [f"{name}[{i}]" for i in range(loop.order)] if name == "peak_error" else [name]
     columns += [*columns_of_channels(len(loop.channels)), *study.measured]
     records = {column: study.record_of(column) for column in columns}
     return {column: record for column, record in records.items() if record.worse is not None}

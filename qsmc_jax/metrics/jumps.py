@@ -13,8 +13,9 @@ from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.metrics.metric import AbstractFunction
 from qsmc_jax.metrics.signals import Signals
-from qsmc_jax.model.crossings import first_jump, with_decisions
+from qsmc_jax.model.crossings import first_jump, lines_along, with_decisions
 from qsmc_jax.model.kinks import may_jump
+from qsmc_jax.tracing.digest import digest
 from qsmc_jax.tracing.programs import Program, parts
 
 _SAME_TIME = 1e-9
@@ -30,17 +31,17 @@ def require_no_jump(what: str, part: AbstractFunction, program: Program, start: 
         what: The function, as the subject of a message.
         part: What is kept of it.
         program: The function, traced.
-        start: The signals at the start of a run, for their names and numbers.
+        start: The signals at the start of a run, for their names.
         horizon: The longest horizon of any run [s].
 
     Raises:
         InputError: It jumps.
     """
-    arguments = len(jax.tree.leaves(start))
-    if part.jumps or not may_jump(program, arguments) or is_traced(list(parts(program).constants.values())):
+    structure = jax.tree.structure(start)
+    if part.jumps or not may_jump(program, structure.num_leaves) or is_traced(list(parts(program).constants.values())):
         return
     try:
-        found = _first_jump(part, start, min(part.before, horizon))
+        found = _first_jump(part, digest(program), structure, min(part.before, horizon))
     except (jax.errors.UnexpectedTracerError, NotImplementedError):
         return
     if found is None:
@@ -54,22 +55,23 @@ def require_no_jump(what: str, part: AbstractFunction, program: Program, start: 
     )
 
 
+# By the program too: a function may close over a number that has changed. A study that is varied asks again and again.
+@ft.lru_cache(maxsize=256)
 @entry_point
-def _first_jump(part: AbstractFunction, start: Signals, end: float) -> tuple[str, Any, Any, Any] | None:
+def _first_jump(part: AbstractFunction, program: str, structure: Any, end: float) -> tuple[str, Any, Any, Any] | None:
     """The signal, its value, and the values of the function before and after; None if no jump is found."""
-    names = _names(start)
-    _, structure = jax.tree.flatten(start)
+    names = _names(jax.tree.unflatten(structure, range(structure.num_leaves)))
 
     def function(*point: Any) -> Any:
         return part.value(jax.tree.unflatten(structure, point))
 
     evaluated = eqx.filter_jit(jax.vmap(lambda point: with_decisions(function, tuple(point))))
-    onto = ft.partial(_onto, names, part.after, end)
-    found = first_jump(evaluated, len(names), range(len(names)), onto)
-    if found is None:
-        return None
-    axis, at, before, after = found
-    return names[axis], at[axis], before, after
+    for axis, name in enumerate(names):
+        found = first_jump(evaluated, _onto(names, part.after, end, lines_along(len(names), axis)), axis)
+        if found is not None:
+            at, before, after = found
+            return name, at[axis], before, after
+    return None
 
 
 def _names(start: Signals) -> list[str]:

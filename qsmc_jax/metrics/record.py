@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 import equinox as eqx
 
 Phase: TypeAlias = Literal["whole", "steady"]
-Loops: TypeAlias = Literal["all", "sampled", "several"]
+Loops: TypeAlias = Literal["all", "sampled", "several", "own"]
 Worse: TypeAlias = Literal["high", "low"]
 
 _C = TypeVar("_C", bound=type)
@@ -27,7 +27,8 @@ class Record:
         unit: Its unit, "-" for a pure number; empty where it is that of the input, the error or the sliding variable.
         label: How an axis is labelled, without the unit.
         phase: "whole" if it is about the whole run, "steady" if about t >= t_r.
-        loops: "all", or "sampled" if only loops with an implementation have it, "several" if those with several inputs.
+        loops: "all", or "sampled" if only loops with an implementation have it; of ideal loops "several" if only those
+            with several inputs have it, "own" if only those of plants in their own coordinates.
         worse: Which direction is worse, "high" or "low"; None if neither is.
         has_gradient: Whether it has a derivative by the gains.
         is_compared: Whether comparisons show it unless told otherwise.

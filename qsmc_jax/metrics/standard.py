@@ -11,7 +11,9 @@ from jaxtyping import Array, Float, Int
 
 from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.base.module import AbstractModule
-from qsmc_jax.metrics.record import Record, explained, metric, records_of, without_index
+from qsmc_jax.loop import ClosedLoop
+from qsmc_jax.metrics.record import Loops, Record, explained, metric, records_of, without_index
+from qsmc_jax.multivariable import MultivariableLoop
 
 _M = TypeVar("_M", bound=AbstractModule)
 
@@ -215,6 +217,7 @@ class Metrics(AbstractModule):
         "the state and as the funnel coordinate have it; UNDECIDED if it is more than 1e-3, or than the margin then",
         unit="-",
         label="drift of the coordinates",
+        loops="own",
         worse="high",
         default=None,
     )
@@ -291,6 +294,22 @@ def columns_of_channels(channels: int) -> tuple[str, ...]:
     """
     names = [column for name, column in BY_CHANNEL.items() if not name.startswith("verdict")]
     return tuple(f"{name}[{i}]" for name in names for i in range(channels)) if channels > 1 else ()
+
+
+def kinds_of(loop: ClosedLoop | MultivariableLoop) -> frozenset[Loops]:
+    """Of which kinds a loop is, as records tell which loops have their metric.
+
+    Args:
+        loop: The loop.
+    """
+    is_sampled = loop.implementation is not None
+    is_such: dict[Loops, bool] = {
+        "all": True,
+        "sampled": is_sampled,
+        "several": not is_sampled and len(loop.channels) > 1,
+        "own": not is_sampled and loop.axis == "state",
+    }
+    return frozenset(kind for kind, is_so in is_such.items() if is_so)
 
 
 # What a study asks for if it says nothing.

@@ -7,7 +7,7 @@ of its edges, and what joins there is told from what jumps.
 """
 
 import functools as ft
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -114,42 +114,40 @@ def jumps(
 
 
 def first_jump(
-    evaluated: Callable[[Any], tuple[Any, Any]],
-    coordinates: int,
-    axes: Iterable[int],
-    onto: Callable[[np.ndarray], np.ndarray] = np.asarray,
-) -> tuple[int, np.ndarray, Any, Any] | None:
-    """The axis, the point, and the values before and after a jump of a function; None if none is found.
+    evaluated: Callable[[Any], tuple[Any, Any]], lines: np.ndarray, axis: int
+) -> tuple[np.ndarray, Any, Any] | None:
+    """The point, and the values before and after a jump of a function along lines; None if none is found.
 
-    The function is followed along each axis through points of many sizes, and where it switches its values are
-    compared.
+    Where the function switches its values are compared.
 
     Args:
-        evaluated: Value and decisions at points, a row each; the first coordinate is a time [s].
-        coordinates: How many numbers make a point.
-        axes: Coordinates along which it is followed.
-        onto: Brings points to where the function is of use, each coordinate for itself.
+        evaluated: Value and decisions at points, a row each.
+        lines: Points, (lines, points, coordinates), in order along each line.
+        axis: The coordinate in which neighbours differ.
     """
 
     def ask(which: int, points: np.ndarray) -> Any:
         return in_batches(lambda batch: evaluated(batch)[which], points)
 
-    for axis in axes:
-        lines = onto(_lines(coordinates, axis))
-        low, high = (part.reshape(-1, coordinates) for part in (lines[:, :-1], lines[:, 1:]))
-        a, b = switches(ft.partial(ask, 1), low, high, _MOST)
-        if len(a) == 0:
-            continue
-        is_jump, lower, upper = jumps(ft.partial(ask, 0), a, b)
-        if np.any(is_jump):
-            first = int(np.argmin(np.where(is_jump, np.abs(b[:, axis]), np.inf)))
-            at = np.where(np.abs(b[first]) < 1e-12, 0.0, b[first])  # the halving of zero ends in 1e-30
-            return axis, at, lower[first], upper[first]
-    return None
+    low, high = (part.reshape(-1, lines.shape[-1]) for part in (lines[:, :-1], lines[:, 1:]))
+    a, b = switches(ft.partial(ask, 1), low, high, _MOST)
+    if len(a) == 0:
+        return None
+    is_jump, lower, upper = jumps(ft.partial(ask, 0), a, b)
+    if not np.any(is_jump):
+        return None
+    first = int(np.argmin(np.where(is_jump, np.abs(b[:, axis]), np.inf)))
+    at = np.where(np.abs(b[first]) < 1e-12, 0.0, b[first])  # the halving of zero ends in 1e-30
+    return at, lower[first], upper[first]
 
 
-def _lines(coordinates: int, axis: int) -> np.ndarray:
-    """Points along an axis, (lines, points, coordinates); the first lines go through the origin."""
+def lines_along(coordinates: int, axis: int) -> np.ndarray:
+    """Points of many sizes along an axis, (lines, points, coordinates); the first lines go through the origin.
+
+    Args:
+        coordinates: How many numbers make a point; the first is a time [s].
+        axis: The coordinate along which they go.
+    """
     generator = np.random.default_rng(0)
     sizes = 10.0 ** generator.uniform(-3.0, 3.0, (_BASES, coordinates))
     sizes[:, 1:] *= generator.choice([-1.0, 1.0], (_BASES, coordinates - 1))

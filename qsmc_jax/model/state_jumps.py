@@ -11,7 +11,7 @@ from qsmc_jax.base.checks import is_traced, show
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.model.components import components
-from qsmc_jax.model.crossings import first_jump, with_decisions
+from qsmc_jax.model.crossings import first_jump, lines_along, with_decisions
 from qsmc_jax.model.kinks import may_jump
 from qsmc_jax.tracing.traceable import once_per_structure, trace
 
@@ -70,11 +70,13 @@ def require_continuous(plant: Any, method: str) -> None:
 @entry_point
 def _first_jump(plant: Any, method: str) -> tuple[Any, ...] | None:
     """Time, state, and the values before and after a jump; None if there is none."""
-    found = first_jump(ft.partial(_evaluated, plant, method), 1 + plant.states, range(1, 1 + plant.states))
-    if found is None:
-        return None
-    _, at, before, after = found
-    return at[0], at[1:], before, after
+    evaluated, coordinates = ft.partial(_evaluated, plant, method), 1 + plant.states
+    for axis in range(1, coordinates):
+        found = first_jump(evaluated, lines_along(coordinates, axis), axis)
+        if found is not None:
+            at, before, after = found
+            return at[0], at[1:], before, after
+    return None
 
 
 @eqx.filter_jit

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from qsmc_jax.base.checks import nearest, require
 from qsmc_jax.metrics.record import without_index
-from qsmc_jax.metrics.standard import columns_of_channels
+from qsmc_jax.metrics.standard import columns_of_channels, kinds_of
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.simulation.settings import SolverSettings
 from qsmc_jax.study.batches import LANE_MULTIPLE, block_size, thread_count
@@ -23,6 +23,12 @@ from qsmc_jax.tuning.terms import METRICS, Term
 
 # A constraint counts as kept up to this part of its bound.
 KEPT = 1e-6
+# Which loops alone have a metric, by the kind that its record names.
+_ONLY = {
+    "sampled": "a loop with an `implementation`",
+    "several": "an ideal loop with several inputs",
+    "own": "an ideal loop of a plant in its own coordinates",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,11 +136,7 @@ class Batch:
             require(metric in known, f"{named}, but must name one of {', '.join(known)}.{hint}")
             is_asked = metric in own or without_index(metric) in self.study.standard
             require(is_asked, f"{named}, which `metrics` of the study leaves out: add it there.")
-            is_sampled = loop.implementation is not None or record.loops != "sampled"
-            require(is_sampled, f"{named}, which only a loop with an `implementation` has.")
-            has_several = len(loop.channels) > 1 or record.loops != "several"
-            is_ideal = loop.implementation is None or record.loops != "several"
-            require(has_several and is_ideal, f"{named}, which only an ideal loop with several inputs has.")
+            require(record.loops in kinds_of(loop), f"{named}, which only {_ONLY.get(record.loops)} has.")
             require(record.has_gradient, f"{named}, which has no derivative by the gains.")
         for term in self.terms:
             is_meant = term.statistic not in ("worst", "cvar") or self.study.record_of(term.metric).worse != "low"

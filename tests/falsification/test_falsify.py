@@ -1,5 +1,6 @@
 """The worst scenario of loops of order 1, s' = d + g u, whose worst is known in closed form."""
 
+import dataclasses
 import math
 import runpy
 
@@ -12,6 +13,7 @@ import qsmc_jax as qj
 from drawing import draws_in_given_axes
 from problems import STILL, STILL_BANDWIDTH, WIDTH, escape_time
 from qsmc_jax.falsification.evaluation import Evaluator
+from qsmc_jax.falsification.objective import metrics_of
 from qsmc_jax.study.batches import BatchSolver
 from studies_for_tests import Integrator
 
@@ -243,3 +245,17 @@ def test_the_known_worst_of_the_examples_is_found_from_every_seed(name):
     assert min(each.value for each in found) >= least
     assert all(each.verdict == qj.Verdict.HELD for each in found)
     assert float(found[0].replay().metrics.peak_u) == pytest.approx(found[0].value, rel=GOOD)
+
+
+def test_only_metrics_that_a_loop_has_can_be_made_worse():
+    """A sampled arm has no barrier, nor does it drift; an ideal one has both, and no reversals of a command."""
+    arm = runpy.run_path(str(places.STUDIES / "two_link_arm.py"))["study"]
+
+    def sampled(draw):
+        made = arm.scenario(draw)
+        return dataclasses.replace(made, loop=dataclasses.replace(made.loop, implementation=qj.Implementation(1e-3)))
+
+    of = {"ideal": set(metrics_of(arm)), "sampled": set(metrics_of(qj.Study(sampled, bandwidth=arm.bandwidth)))}
+    assert {"peak_barrier", "coordinate_drift"} == of["ideal"] - of["sampled"]
+    assert {"reversal_rate", "peak_excess"} <= of["sampled"] - of["ideal"]
+    assert not {"peak_barrier", "coordinate_drift", "reversal_rate"} & set(metrics_of(PLAIN))

@@ -74,3 +74,12 @@ def test_several_inputs_are_followed_one_by_one():
     with pytest.raises(qj.InputError, match=r"where `u\[1\]` is 2, between"):
         study(lambda s: s.u[0] + jnp.where(s.u[1] > 2.0, 1.0, 0.0))
     study(lambda s: s.u[0] + jnp.maximum(s.u[1], 2.0))
+
+
+def test_a_number_that_a_function_closes_over_may_change():
+    height = [0.0]
+    metric = m.Peak("p", lambda s: s.x[0] + height[0] * jnp.floor(s.t))
+    qj.Study(scenario, bandwidth=0.1, metrics=[metric])
+    height[0] = 1.0
+    with pytest.raises(qj.InputError, match="where `t` is 1, between"):
+        qj.Study(scenario, bandwidth=0.1, metrics=[metric])

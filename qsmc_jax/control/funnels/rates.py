@@ -1,5 +1,6 @@
 """Whether the edges of a funnel go on without jumps, by the rates that are given."""
 
+import functools as ft
 from typing import Any
 
 import equinox as eqx
@@ -60,10 +61,16 @@ def _first_jump(funnel: AbstractFunnel, t1: float) -> Any:
     near = np.concatenate([breaks * (1.0 - _NEAR), breaks * (1.0 + _NEAR)])
     ts = np.sort(np.concatenate([t1 * np.linspace(0.0, 1.0, _TIMES), near[(near > 0.0) & (near < t1)]]))
 
+    found = first_jump(ft.partial(_evaluated, funnel), ts[None, :, None], 0)
+    return None if found is None else found[0][0]
+
+
+@eqx.filter_jit
+def _evaluated(funnel: AbstractFunnel, points: Any) -> tuple[Any, Any]:
+    """Both edges and the decisions on the way, a row a time."""
+
     def edges(t: Any) -> Any:
         centre, width = (jnp.asarray(each, float) for each in (funnel.centre(t), funnel(t)))
         return jnp.stack([centre - width, centre + width])
 
-    evaluated = eqx.filter_jit(jax.vmap(lambda point: with_decisions(edges, tuple(point))))
-    found = first_jump(evaluated, 1, (0,), lambda _: ts[None, :, None])
-    return None if found is None else found[1][0]
+    return jax.vmap(lambda t: with_decisions(edges, (t,)))(points[:, 0])
