@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from qsmc_jax.model.references import AbstractReference as AbstractReference
     from qsmc_jax.model.state_space import AbstractStateSpace as AbstractStateSpace
     from qsmc_jax.multivariable import MultivariableLoop as MultivariableLoop
+    from qsmc_jax.proof.certify import certify as certify
+    from qsmc_jax.proof.result import Proof as Proof
     from qsmc_jax.report.saved import load as load
     from qsmc_jax.report.saved import save as save
     from qsmc_jax.robustness.comparison import Comparison as Comparison
@@ -116,6 +118,8 @@ _HOMES = {
     "always": "qsmc_jax.metrics.requirements",
     "eventually": "qsmc_jax.metrics.requirements",
     "Requirement": "qsmc_jax.metrics.requirements",
+    "certify": "qsmc_jax.proof.certify",
+    "Proof": "qsmc_jax.proof.result",
     "load": "qsmc_jax.report.saved",
     "save": "qsmc_jax.report.saved",
     "Outcome": "qsmc_jax.simulation.outcome",

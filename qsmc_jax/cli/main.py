@@ -22,6 +22,7 @@ from qsmc_jax.cli.newcomer_commands import register_newcomer
 from qsmc_jax.cli.options import Atol, Cache, Json, MaxSteps, Method, Out, Overrides, Rtol, Seed, StudyFile
 from qsmc_jax.cli.program import Program
 from qsmc_jax.cli.progress import waiting
+from qsmc_jax.cli.proof_commands import register_proof
 from qsmc_jax.cli.robustness_commands import register
 from qsmc_jax.cli.session import session
 from qsmc_jax.cli.study_file import Source, load_study
@@ -136,6 +137,7 @@ app.command("verify")(verify_study)
 register(app)
 register_campaign(app)
 register_newcomer(app)
+register_proof(app)
 app.command("tune")(tune_study)
 
 

@@ -55,6 +55,10 @@ class ResultFolder:
         """Writes a table of NumPy columns as one Parquet file."""
         pq.write_table(pa.table(dict(columns)), self._temporary / name, compression="zstd")
 
+    def add_file(self, name: str, content: bytes) -> None:
+        """Writes a file as it is."""
+        (self._temporary / name).write_bytes(content)
+
     def add_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Writes a JSON file; for numbers that JSON does not know see `to_json`."""
         (self._temporary / name).write_text(to_json(content) + "\n", encoding="utf-8")

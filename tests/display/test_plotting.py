@@ -48,6 +48,7 @@ def test_there_are_pictures_of_every_result():
         "CriticalValue",
         "Falsification",
         "Landscape",
+        "Proof",
         "RobustnessMap",
         "Trajectory",
         "Tuning",

@@ -94,6 +94,7 @@ def random_sines(
         amplitudes=bound * (weights / weights.sum()),
         frequencies=draw.log_uniform(f"{name}.frequency", low, high, shape=(terms,)),
         phases=draw.uniform(f"{name}.phase", 0.0, 2 * math.pi, shape=(terms,)),
+        bound=bound,
     )
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from qsmc_jax.base.checks import require_finite, require_positive, require_shape
+from qsmc_jax.base.checks import is_traced, require, require_finite, require_positive, require_shape
 from qsmc_jax.base.module import as_float64, float_field
 from qsmc_jax.base.types import RealScalarLike
 from qsmc_jax.model.disturbances.disturbance import AbstractDisturbance, no_breaks
@@ -73,12 +73,14 @@ class Sine(AbstractDisturbance):
 class SumOfSines(AbstractDisturbance):
     r"""A sum of sines, $d(t) = \sum_j a_j \sin(\omega_j t + \varphi_j)$, $\bar d = \sum_j |a_j|$.
 
-    The bound is the supremum when the frequencies have no integer relation; else it may be larger.
+    The bound is the supremum when the frequencies have no integer relation; else it may be larger. Where the sum is
+    known beforehand, whatever the amplitudes, it may be given.
 
     Attributes:
         amplitudes: Amplitudes $a_j$.
         frequencies: Angular frequencies $\omega_j$ [rad/s].
         phases: Phases $\varphi_j$ [rad]; None means zero.
+        limit: What the amplitudes add up to at most; the argument `bound`, None for their sum.
 
     Examples:
         >>> import qsmc_jax as qj
@@ -90,21 +92,29 @@ class SumOfSines(AbstractDisturbance):
     amplitudes: Float[Array, " terms"] = float_field()
     frequencies: Float[Array, " terms"] = float_field()
     phases: Float[Array, " terms"] = float_field()
+    limit: Float[Array, ""] | None = float_field()
 
-    def __init__(self, amplitudes: Any, frequencies: Any, phases: Any = None):
+    def __init__(self, amplitudes: Any, frequencies: Any, phases: Any = None, bound: Any = None):
         self.amplitudes = as_float64(amplitudes)
         self.frequencies = as_float64(frequencies)
         self.phases = as_float64(np.zeros(np.shape(self.amplitudes)) if phases is None else phases)
+        self.limit = as_float64(bound)
 
     def __check_init__(self):
         _require_sines(self.amplitudes, self.frequencies, self.phases)
+        if self.limit is not None and not is_traced(self.limit, self.amplitudes):
+            total = float(np.sum(np.abs(self.amplitudes)))
+            require(
+                total <= (1.0 + 1e-9) * float(self.limit),
+                f"Argument `bound` must be at least the sum of the amplitudes, {total:.6g}, but is {self.limit:.6g}.",
+            )
 
     def __call__(self, t: RealScalarLike) -> RealScalarLike:
         return jnp.sum(self.amplitudes * jnp.sin(self.frequencies * t + self.phases))
 
     @property
     def bound(self) -> RealScalarLike:
-        return jnp.sum(jnp.abs(self.amplitudes))
+        return jnp.sum(jnp.abs(self.amplitudes)) if self.limit is None else jnp.asarray(self.limit)
 
     @property
     def break_times(self) -> Float[Array, " breaks"]:
