@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from qsmc_jax.multivariable import MultivariableLoop as MultivariableLoop
     from qsmc_jax.proof.certify import certify as certify
     from qsmc_jax.proof.result import Proof as Proof
+    from qsmc_jax.report.card import Card as Card
+    from qsmc_jax.report.card import card as card
     from qsmc_jax.report.saved import load as load
     from qsmc_jax.report.saved import save as save
     from qsmc_jax.robustness.comparison import Comparison as Comparison
@@ -120,6 +122,8 @@ _HOMES = {
     "Requirement": "qsmc_jax.metrics.requirements",
     "certify": "qsmc_jax.proof.certify",
     "Proof": "qsmc_jax.proof.result",
+    "Card": "qsmc_jax.report.card",
+    "card": "qsmc_jax.report.card",
     "load": "qsmc_jax.report.saved",
     "save": "qsmc_jax.report.saved",
     "Outcome": "qsmc_jax.simulation.outcome",

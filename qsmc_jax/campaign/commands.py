@@ -56,7 +56,15 @@ def verify_command(
         'qsmc verify a.py --runs 100 --seed 1 --confidence 0.99 -S mu=2.0 -S x0=0.5,0.1 --rtol 1e-07'
     """
     words = ["qsmc", "verify", study_file, "--runs", str(runs), "--seed", str(seed), "--confidence", str(confidence)]
-    for name, value in values.items():
-        words += ["-S", f"{name}={','.join(map(str, value if isinstance(value, list) else [value]))}"]
     asked = [] if tuple(metrics) == USUAL else ["--metrics", ",".join(metrics)]
-    return words + asked + solver_options(settings)
+    return words + fixed_options(values) + asked + solver_options(settings)
+
+
+def fixed_options(values: Mapping[str, Any]) -> list[str]:
+    """The words that fix names of a study.
+
+    Args:
+        values: Values by name, numbers or lists of them.
+    """
+    listed = {name: value if isinstance(value, list) else [value] for name, value in values.items()}
+    return [word for name, value in listed.items() for word in ("-S", f"{name}={','.join(map(str, value))}")]

@@ -15,6 +15,7 @@ import typer
 from qsmc_jax import __version__
 from qsmc_jax.base.stack import with_room
 from qsmc_jax.cli.campaign_commands import register_campaign
+from qsmc_jax.cli.card_command import card_of_study
 from qsmc_jax.cli.console import say, say_json
 from qsmc_jax.cli.exit_codes import HELD, MEANING, UNDECIDED, VIOLATED, code_of
 from qsmc_jax.cli.interrupts import obeying
@@ -139,6 +140,7 @@ register_campaign(app)
 register_newcomer(app)
 register_proof(app)
 app.command("tune")(tune_study)
+app.command("card")(card_of_study)
 
 
 def main() -> None:

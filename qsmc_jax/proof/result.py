@@ -91,6 +91,14 @@ class Proof(AbstractResult):
         return self._claim("until", 0.0)
 
     @property
+    def disturbance_bound(self) -> float:
+        """The bound of |d|, whatever is drawn, within which all this holds; NaN if nothing is proved."""
+        if not self.is_proved:
+            return math.nan
+        loop = self.content["loop"]
+        return float.fromhex(loop["program"][loop["places"]["bound"]][1])
+
+    @property
     def boxes(self) -> int:
         """How many boxes of starts and parameters are told apart."""
         return len(self.arrays["leaves_z"]) if self.is_proved else 0
@@ -162,11 +170,10 @@ class Proof(AbstractResult):
         if not self.is_proved:
             return f"NOT_PROVED: {self.reason} This says nothing against the loop."
         until = "for ever" if math.isinf(self.until) else f"up to t = {self.until:g} s"
-        loop = self.content["loop"]
-        bound = float.fromhex(loop["program"][loop["places"]["bound"]][1])
         return (
             f"PROVED: every run stays in its funnel {until}, with |sigma| / rho <= {_up(self.peak_ratio)} and |u| <= "
-            f"{_up(self.peak_u)}, for all numbers in the box, constant or not, and every measurable |d| <= {bound:g}."
+            f"{_up(self.peak_u)}, for all numbers in the box, constant or not, and every measurable |d| <= "
+            f"{self.disturbance_bound:g}."
         )
 
     def _uncertain(self) -> dict[str, list[float]]:

@@ -77,7 +77,7 @@ def test_without_pandas_it_says_what_to_install(found, monkeypatch):
 
 
 RESULTS = [qj.Verification, qj.Tuning, qj.Landscape, qj.RobustnessMap, qj.CriticalValue, qj.Comparison]
-RESULTS += [qj.Falsification, qj.Band, qj.Proof]
+RESULTS += [qj.Falsification, qj.Band, qj.Proof, qj.Card]
 
 
 @pytest.mark.parametrize("kind", RESULTS)

@@ -44,6 +44,7 @@ def test_every_picture_takes_axes(kind, name):
 def test_there_are_pictures_of_every_result():
     assert {kind.__name__ for kind, _ in PLOTS} == {
         "Band",
+        "Card",
         "Comparison",
         "CriticalValue",
         "Falsification",

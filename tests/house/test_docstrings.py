@@ -21,7 +21,7 @@ PLAIN = re.compile(r"^(The|A|An|Whether|How|What)\b")
 AS_FOR = re.compile(r"^Arguments.*: as `(\w+)`(.*)$", re.M)
 # Examples that compile a solve take seconds each.
 DEAR = re.compile(
-    r"\b(simulate|replay|monte_carlo|stream|verify|compare|critical_value|robustness_map|tune|landscape|falsify|certify|run_campaign|"
+    r"\b(simulate|replay|monte_carlo|stream|verify|compare|critical_value|robustness_map|tune|landscape|falsify|certify|card|run_campaign|"
     r"work_shard|signals|solve)\("
 )
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
