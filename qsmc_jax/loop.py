@@ -12,7 +12,7 @@ from qsmc_jax.base.module import AbstractModule, require_fields
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.channel import Channel
 from qsmc_jax.control.control import AbstractControl
-from qsmc_jax.control.dynamic_control import is_continuous, require_memory
+from qsmc_jax.control.dynamic_control import exact_command, is_continuous, require_memory
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.implementation.implementation import Implementation, require_one_input
 from qsmc_jax.model.consistency import require_derivatives
@@ -120,7 +120,7 @@ class ClosedLoop(AbstractModule):
     def whole(self) -> "ClosedLoop":
         """The loop as it is solved: with a reference model, or a law with states, these are part of its plant."""
         law = self.control if self.implementation is None and len(self.control.first_memory()) else None
-        is_whole = isinstance(self.plant, Accompanied) or (
+        is_whole = isinstance(self.plant, Accompanied | Channel) or (
             law is None and isinstance(self.reference, AbstractReference)
         )
         if is_whole:
@@ -260,9 +260,8 @@ class ClosedLoop(AbstractModule):
             desired: Desired output and its first n derivatives.
             deviation: The sliding variable, from the funnel's centre.
         """
-        law, memory = self.control, self.plant.memory(x) if isinstance(self.plant, Accompanied) else ()
-        sigma = deviation + law.funnel.centre(t)
-        return law.command(law.exact_sample(t, tuple(errors), tuple(desired), sigma), memory)[0]
+        memory = self.plant.memory(x) if isinstance(self.plant, Accompanied | Channel) else ()
+        return exact_command(self.control, t, errors, desired, deviation, memory)
 
     def input_at(self, t: RealScalarLike, x: State, errors: State, desired: State, s: RealScalarLike) -> RealScalarLike:
         """The input u of the ideal loop where the funnel coordinate is known too.

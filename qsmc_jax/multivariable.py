@@ -31,18 +31,21 @@ class MultivariableLoop(AbstractModule):
     $\lambda$, every $|z_i|$ stays below 1: $V = \frac{1}{\pi} \sum \ln(1 + \tan^2(\pi z_i / 2))$ falls wherever $v_i =
     \tan(\pi z_i / 2) / \rho_i$ has $|v| > (|w| + |\dot\rho|) / \lambda$. Each run is held against that bound
     (`peak_barrier` and `barrier_bound`). Laws that are not scaled have that proof with K rho in the place of
-    K, so if all funnels are as wide; and Theorem 1 each if B is diagonal.
+    K, so if all funnels are as wide; and Theorem 1 each if B is diagonal. Of other laws, limited ones, your own, with
+    memories that have rates, nothing of the kind is known: `barrier_bound` is NaN, and runs are judged as they come.
 
     Attributes:
         plant: The plant, with m relative degrees.
         references: The desired outputs, m of them, each at least as often differentiable as its relative degree.
         disturbances: The disturbances, m of them, which enter where the plant has them.
-        controls: The laws, m of them, each with a surface for its relative degree, and a funnel.
+        controls: The laws, m of them, of any kinds that a `ClosedLoop` may have, each with a surface for its relative
+            degree, and a funnel. In the ideal loop what they keep follows the plant's states in `x`, law by law.
         implementation: How the controllers are implemented; None for the ideal loop. Each channel has a computer of its
             own: where it says so, a number of an `Implementation` is one for all of them or one for each.
 
     Raises:
-        InputError: There are not as many of each as inputs; or a surface, or a reference, does not fit its channel.
+        InputError: There are not as many of each as inputs; or a surface, or a reference, does not fit its channel; or
+            a law that switches, or has a memory without rates, has no implementation.
 
     Examples:
         Two masses on one spring, each with a force:
@@ -90,32 +93,34 @@ class MultivariableLoop(AbstractModule):
             )
             for i, each in enumerate(given):
                 require_kind(f"{name}[{i}]", each, kind, kind.hint)
-        for i, law in enumerate(self.controls):
-            require(
-                self.implementation is not None or isinstance(law, QuasiSlidingControl),
-                f"Argument `controls[{i}]` must be a `QuasiSlidingControl` in an ideal loop with several inputs, but "
-                f"is a `{type(law).__name__}`: give an `implementation`, with which it may be any law.",
-            )
-        _ = self.channels  # each checks its surface and its reference
+        _ = self.channels  # each checks its surface, its reference and its law
 
     @property
     def channels(self) -> tuple[ClosedLoop, ...]:
         """Each channel as a loop with one input; see `Channel` for its state."""
         m = len(self.controls)
-        # Held inputs are known without the laws: the others' are left out here, and added by whoever holds them.
-        laws = self.sliding_laws if self.implementation is None else ()
         made = [None] * m if self.implementation is None else self.implementation.of_channels(m)
-        plants = [Channel(self.plant, laws, self.disturbances, i) for i in range(m)]
+        plants = map(self._plant, range(m))
         return tuple(map(ClosedLoop, plants, self.references, self.disturbances, self.controls, made))
+
+    def _plant(self, channel: int) -> Channel:
+        # Held inputs are known without the laws: the others' are left out here, and added by whoever holds them.
+        laws, references = (self.controls, self.references) if self.implementation is None else ((), ())
+        return Channel(self.plant, laws, references, self.disturbances, channel)
 
     @property
     def sliding_laws(self) -> tuple[QuasiSlidingControl, ...]:
-        """The laws that are the quasi-sliding one: in an ideal loop all."""
+        """The laws that are the quasi-sliding one."""
         return tuple(law for law in self.controls if isinstance(law, QuasiSlidingControl))
 
     @property
+    def is_quasi_sliding(self) -> bool:
+        """Whether all laws are the quasi-sliding one: of others Lyapunov's inequality says nothing."""
+        return len(self.sliding_laws) == len(self.controls)
+
+    @property
     def whole(self) -> "MultivariableLoop":
-        """The loop itself: nothing runs beside its plant. See `ClosedLoop`."""
+        """The loop itself: what its laws keep is part of its state. See `ClosedLoop`."""
         return self
 
     @property
@@ -124,17 +129,18 @@ class MultivariableLoop(AbstractModule):
         return (self.plant,)
 
     def start(self, x0: Any) -> Scalars:
-        """The start of all its states: that of the plant's.
+        """The start of all its states, from that of the plant's.
 
         Args:
             x0: The start of the plant, N numbers.
         """
-        return tuple(x0[i] for i in range(self.states))
+        return self._plant(0).start(tuple(x0[i] for i in range(self.plant.states)))
 
     @property
     def states(self) -> int:
-        """The number of states of the plant."""
-        return self.plant.states
+        """The number of states: those of the plant, and of laws in continuous time."""
+        first = self._plant(0)
+        return first.states - len(first.laws)
 
     @property
     def order(self) -> int:
@@ -181,9 +187,9 @@ class MultivariableLoop(AbstractModule):
 
         Args:
             t: Time [s].
-            x: State, N scalars.
+            x: State, of which the plant's N scalars matter.
         """
-        m, degrees = range(len(self.controls)), self.plant.relative_degrees
+        m, degrees, x = range(len(self.controls)), self.plant.relative_degrees, tuple(x[: self.plant.states])
         return tuple(tuple(self.plant.gains(t, x, i, j)[degrees[i] - 1] for j in m) for i in m)
 
     def drive(self, t: RealScalarLike, x: State) -> tuple[Scalars, tuple[Scalars, ...]]:
@@ -191,8 +197,9 @@ class MultivariableLoop(AbstractModule):
 
         Args:
             t: Time [s].
-            x: State, N scalars.
+            x: State, of which the plant's N scalars matter.
         """
+        x = tuple(x[: self.plant.states])
         free, pushes = self.plant.vector_field(t, x, tuple(each(t) for each in self.disturbances)), []
         for i, (law, reference) in enumerate(zip(self.controls, self.references, strict=True)):
             _, moving = self.plant.outputs_in_motion(t, x, free, 1.0, i)
@@ -224,8 +231,7 @@ def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> 
     Raises:
         InputError: The symmetric part of the decoupling matrix, with the laws' signs and gains, is not definite.
     """
-    is_known = all(isinstance(law, QuasiSlidingControl) for law in loop.controls)
-    if is_traced(loop, x0) or not is_known:
+    if is_traced(loop, x0) or not loop.is_quasi_sliding:
         return
     matrix, values = _definiteness(loop, x0)
     require(
@@ -239,5 +245,5 @@ def require_decoupling(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> 
 
 @entry_point
 def _definiteness(loop: MultivariableLoop, x0: Float[np.ndarray, " n"]) -> tuple[Any, Array]:
-    rows = loop.decoupling(jnp.zeros(()), tuple(x0[i] for i in range(loop.states)))
+    rows = loop.decoupling(jnp.zeros(()), tuple(x0[i] for i in range(loop.plant.states)))
     return rows, jnp.linalg.eigvalsh(loop.acting(jnp.zeros(()), rows))

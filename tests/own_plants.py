@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.integrate
 import scipy.optimize
+from jaxtyping import Array, Float
 
 import qsmc_jax as qj
 from qsmc_jax.base.module import float_field
@@ -128,6 +129,30 @@ class Scalar(qj.AbstractStateSpace):
     def output(self, t, x):
         """The state."""
         return x[0]
+
+
+class Pair(qj.AbstractStateSpace):
+    """Two states that push each other: x' = A x + d + B u, each an output."""
+
+    coupling: Float[Array, ""] = float_field(default=0.0)
+    b11: Float[Array, ""] = float_field(default=1.0)
+    b12: Float[Array, ""] = float_field(default=0.0)
+    b21: Float[Array, ""] = float_field(default=0.0)
+    b22: Float[Array, ""] = float_field(default=1.0)
+
+    states, relative_degrees = 2, (1, 1)
+
+    def vector_field(self, t, x, d):
+        """The coupling, and a disturbance on each."""
+        return self.coupling * jnp.sin(x[1]) + d[0], -self.coupling * x[0] + d[1]
+
+    def input_matrix(self, t, x):
+        """B."""
+        return (self.b11, self.b12), (self.b21, self.b22)
+
+    def output(self, t, x):
+        """Both states."""
+        return x[0], x[1]
 
 
 # By plant: its class, rates, outputs, coefficients of the surface, where it starts, amplitude of the reference.

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 
 from qsmc_jax.base.checks import require
-from qsmc_jax.base.types import Scalars
+from qsmc_jax.base.types import RealScalarLike, Scalars, State
 from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.tracing.traceable import described, is_number, once_per_structure, trace
 
@@ -125,3 +125,20 @@ def memory_rates(law: AbstractControl, sample: Sample, memory: Scalars) -> Scala
         memory: The memory.
     """
     return law.memory_rates(sample, memory) if isinstance(law, AbstractDynamicControl) else ()
+
+
+def exact_command(
+    law: AbstractControl, t: RealScalarLike, errors: State, desired: State, deviation: RealScalarLike, memory: State
+) -> RealScalarLike:
+    """What any law makes of exact errors.
+
+    Args:
+        law: The law.
+        t: Time [s].
+        errors: Errors, n scalars.
+        desired: Desired output and its first n derivatives.
+        deviation: The sliding variable, from the funnel's centre.
+        memory: What the law keeps.
+    """
+    sigma = deviation + law.funnel.centre(t)
+    return law.command(law.exact_sample(t, tuple(errors), tuple(desired), sigma), tuple(memory))[0]

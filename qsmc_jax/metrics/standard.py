@@ -234,7 +234,7 @@ class Metrics(AbstractModule):
     barrier_bound: Float[Array, ""] | None = metric(
         meaning="With several inputs of an ideal loop what Lyapunov's inequality allows for `peak_barrier`, by what "
         "drives the run when it peaks; a higher peak is a defect of the simulator; inf if the decoupling matrix is "
-        "not definite there",
+        "not definite there; none is known, and it is NaN, where a law is another than the quasi-sliding one",
         unit="-",
         label="bound on sup V",
         loops="several",

@@ -261,16 +261,20 @@ def _hiding_in_own(
 ) -> Hiding:
     """The same of a plant in its own coordinates. The disturbance is in its rates, wherever it enters.
 
-    Inputs of other channels hide nothing themselves: each is a known function of its funnel coordinate, which is
-    guarded. What enters a state where the sliding variable does not see it yet would be found too late there.
+    Inputs of other channels under the paper's law hide nothing themselves: each is a known function of its funnel
+    coordinate, which is guarded. What another law may hide pushes all channels. What enters a state where the sliding
+    variable does not see it yet would be found too late there.
     """
     first, m, d = loops[0].plant, len(loops), _disturbed(loops[0], step)
     own = first.plant if isinstance(first, Channel) else first
     assert isinstance(own, AbstractStateSpace | Accompanied)
     states, has_model = own.states, isinstance(loops[0].reference, AbstractReferenceModel)
+    laws = first.laws if isinstance(first, Channel) else ()
+    given = [j for j, law in enumerate(laws) if not isinstance(law, QuasiSlidingControl)]
 
     def numbers(t: RealScalarLike) -> tuple[RealScalarLike, ...]:
-        x = at(t)[:states]
+        y = at(t)
+        x = y[:states]
         free, (columns, by_input) = own.vector_field(t, x, d(t)), _reach(first, t, x, m)
         moved, gains = [], []
         for i, loop in enumerate(loops):
@@ -278,21 +282,32 @@ def _hiding_in_own(
             in_motion = loop.errors_in_motion if has_model else loop.plant.outputs_in_motion
             moved.append(surface(in_motion(t, x, free)[1]))
             gains += [sign * surface(each) for each in by_input[i]]
-        return (*free, *(entry for column in columns for entry in column), *moved, *gains)
+        kept = first.memory_rates(t, y) if isinstance(first, Channel) else ()
+        beside = *(loops[j].input(t, y) for j in given), *kept
+        return (*free, *(entry for column in columns for entry in column), *moved, *gains, *beside)
 
     found = iter(unseen_each(numbers, step, barrier))
     free, columns = list(it.islice(found, states)), [list(it.islice(found, states)) for _ in range(m)]
     moved, gains = list(it.islice(found, m)), [list(it.islice(found, m)) for _ in range(m)]
+    inputs, kept = dict(zip(given, it.islice(found, len(given)), strict=True)), list(found)
     with_others = []
     for i in range(m):
         others = [_times(gains[i][j], largest[j]) for j in range(m) if j != i]
-        with_others.append(joined([moved[i], *others]))
+        with_others.append(joined([moved[i], *others, *(_times(u, _top(gains[i][j])) for j, u in inputs.items())]))
     moves = []
-    for i, ends in enumerate(zip(at(step.t0)[:states], at(step.t1)[:states], strict=True)):
+    for i, (each, *ends) in enumerate(zip([*free, *kept], at(step.t0), at(step.t1), strict=False)):
         size = ft.reduce(jnp.maximum, map(jnp.abs, ends), least)
-        amount = joined([free[i], *(_times(column[i], u) for column, u in zip(columns, largest, strict=True))]).amount
-        moves.append(step.length * amount / size)
+        parts = [each]
+        if i < states:
+            parts += [_times(column[i], u) for column, u in zip(columns, largest, strict=True)]
+            parts += [_times(u, _top(columns[j][i])) for j, u in inputs.items()]
+        moves.append(step.length * joined(parts).amount / size)
     return Hiding(tuple(with_others), tuple(gains[i][i] for i in range(m)), ft.reduce(jnp.maximum, moves))
+
+
+def _top(found: Unseen) -> RealScalarLike:
+    """The largest size that something may have."""
+    return jnp.maximum(jnp.abs(found.low), jnp.abs(found.high))
 
 
 def _reach(plant: Any, t: RealScalarLike, x: Scalars, inputs: int) -> tuple[list[Scalars], list[list[Scalars]]]:
@@ -319,8 +334,11 @@ def _disturbed(loop: ClosedLoop, step: Step) -> Callable[[RealScalarLike], Any]:
 
 
 def _of_law(loop: ClosedLoop, step: Step, at: Path, barrier: Barrier) -> RealScalarLike:
-    """What may hide in what a law of the user's contributes to the sliding variable's rate; 0.0 for the paper's."""
-    if isinstance(loop.control, QuasiSlidingControl):
+    """What may hide in what a law of the user's contributes to the sliding variable's rate; 0.0 for the paper's.
+
+    Of several channels that of all laws is part of what moves each.
+    """
+    if isinstance(loop.control, QuasiSlidingControl) or isinstance(loop.plant, Channel):
         return 0.0
     return unseen_each(lambda t: (loop.gain(t, at(t)) * loop.input(t, at(t)),), step, barrier)[0].amount
 

@@ -113,6 +113,8 @@ class Problem(AbstractProblem):
 class JointProblem(AbstractProblem):
     r"""Several channels to be solved together, in $y = (x_1, \dots, x_N, s_1, \dots, s_m)$.
 
+    What laws keep stands between states and funnel coordinates.
+
     Attributes:
         loop: The loop of all of them.
         parts: Each channel as a problem, in `ChannelCoordinates`.
@@ -141,7 +143,7 @@ class JointProblem(AbstractProblem):
     def vector_field(self, t: RealScalarLike, y: State) -> Scalars:
         once, loop = self.barrier, self.loop
         y = once(tuple(y))
-        x = y[: loop.states]
+        x = y[: loop.plant.states]
         first = self.channels[0].loop.plant
         assert isinstance(first, Channel)
         free, rows = once((tuple(loop.plant.vector_field(t, x, first.disturbed(t))), loop.plant.input_matrix(t, x)))
@@ -156,7 +158,7 @@ class JointProblem(AbstractProblem):
             funnel_rate(each.loop, t, y, each.coordinates.funnel_coordinate(each.loop, t, y), rates)
             for each in self.channels
         )
-        return (*rates, *turns)
+        return (*rates, *first.memory_rates(t, y), *turns)
 
     def tolerances(self, size: State, settings: SolverSettings) -> tuple[Scalars, Scalars]:
         return funnel_tolerances(size, settings, len(self.channels))

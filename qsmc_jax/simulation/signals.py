@@ -96,7 +96,7 @@ def signals_at_start(loop: ClosedLoop | MultivariableLoop, x0: Float[np.ndarray,
     """The signals at time 0 without input, as metrics see them."""
     if isinstance(loop, MultivariableLoop):
         # The inputs are not asked for: any funnel coordinates will do.
-        x, rest = tuple(x0), (jnp.zeros(()),) * (loop.channels[0].states - loop.states)
+        x, rest = loop.start(x0), (jnp.zeros(()),) * (loop.channels[0].states - loop.states)
         return joint_ideal_signals(loop, np.zeros(()), x, [_at_start(each, (*x, *rest)) for each in loop.channels])
     return _at_start(loop.whole, loop.start(x0))
 

@@ -1,5 +1,6 @@
 """How stiff a loop will be, from its numbers alone, and the method for it."""
 
+import dataclasses
 import functools as ft
 import math
 from collections.abc import Hashable
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from qsmc_jax.base.checks import is_traced
 from qsmc_jax.base.precision import entry_point
 from qsmc_jax.base.types import RealScalarLike, Scalars, State
+from qsmc_jax.channel import Channel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.model.plants import AbstractPlant
@@ -50,7 +52,8 @@ def stiffness(
 
     Along the reference, with the input that holds the sliding variable there and drives it in with the funnel. An
     explicit method needs about a third as many steps at the least. A loop with an implementation is open between
-    samples: 0. Of several channels the stiffest counts, with the others' inputs as they are at rest.
+    samples: 0. Of several channels the stiffest counts, with the others' inputs as they are at rest; with none where
+    laws are others than the quasi-sliding one.
     """
     if loop.implementation is not None:
         return 0.0
@@ -79,7 +82,7 @@ def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
     """
     rest, desired = (0.0,) * loop.order, loop.desired(t, tuple(x0))
     is_chain = isinstance(loop.plant, AbstractPlant)
-    balance = loop.balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
+    balance = _at_rest(loop).balance(t, loop.state(rest, desired) if is_chain else tuple(x0), rest, desired)
     law, balance = loop.control, loop.plain(t, balance)
     gain, load = jnp.abs(balance.gain), law.funnel.load(t, balance.residual)
     if not isinstance(law, QuasiSlidingControl):
@@ -88,6 +91,14 @@ def _decay_rate(loop: ClosedLoop, x0: Array, t: Array) -> Array:
         return gain * steepness(loop, t, tuple(x0), (*rest[:-1], there + centre), desired, there)
     input_ = load / jnp.where(gain > 0.0, gain, 1.0)
     return gain * (0.5 * math.pi) / law.funnel(t) * (1.0 + input_**2)
+
+
+def _at_rest(loop: ClosedLoop) -> ClosedLoop:
+    """A loop as it is where the others' inputs are at rest, if it is a channel of several."""
+    plant = loop.plant
+    if not isinstance(plant, Channel) or all(isinstance(law, QuasiSlidingControl) for law in plant.laws):
+        return loop
+    return dataclasses.replace(loop, plant=dataclasses.replace(plant, laws=(), references=()))
 
 
 def steepness(

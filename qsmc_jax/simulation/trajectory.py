@@ -222,7 +222,10 @@ def _channel_lines(metrics: Metrics, channels: int) -> list[str]:
     if metrics.peak_barrier is None or metrics.barrier_bound is None:
         return lines
     barrier, bound = float(np.asarray(metrics.peak_barrier)), float(np.asarray(metrics.barrier_bound))
-    return [*lines, f"  together: sup V {barrier:.6g}, no more than {bound:.6g} by its bound"]
+    said = f"no more than {bound:.6g} by its bound"
+    if np.isnan(bound) and not np.isnan(barrier):
+        said = "of the quasi-sliding law alone is a bound known"
+    return [*lines, f"  together: sup V {barrier:.6g}, {said}"]
 
 
 def _sampled_lines(metrics: Metrics) -> list[str]:

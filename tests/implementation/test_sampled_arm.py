@@ -1,7 +1,6 @@
 """The digital controller of a two-link arm: against SciPy from sample to sample, with the inertia written by hand."""
 
 import dataclasses
-import math
 import runpy
 
 import numpy as np
@@ -9,34 +8,13 @@ import pytest
 
 import places
 import qsmc_jax as qj
+from arm_by_hand import SIGMAS, WIDTHS, by_hand
 from several_held_loops import Held, simulate, tangent
 
-HORIZON, WIDTHS = 1.5, ((4.0, 2.0, 0.2), (6.0, 2.0, 0.3))
+HORIZON = 1.5
 STUDY = runpy.run_path(str(places.STUDIES / "two_link_arm.py"))["study"]
 
 
-def by_hand(plant, pushes):
-    """The arm's rates: the inertia is solved for, not inverted."""
-    m1, m2, l1, l2 = (float(getattr(plant, name)) for name in ("m1", "m2", "l1", "l2"))
-    bend = m2 * l1 * l2
-
-    def rates(t, x, u):
-        (q1, q2), v = x[:2], x[2:]
-        d = [float(p.amplitude) * math.sin(float(p.frequency) * t + float(p.phase)) for p in pushes]
-        corner = m2 * l2**2 + bend * math.cos(q2)
-        inertia = [[(m1 + m2) * l1**2 + m2 * l2**2 + 2 * bend * math.cos(q2), corner], [corner, m2 * l2**2]]
-        coriolis = bend * math.sin(q2) * np.array([[-v[1], -(v[0] + v[1])], [v[0], 0.0]])
-        lower = m2 * 9.81 * l2 * math.cos(q1 + q2)
-        weight = [(m1 + m2) * 9.81 * l1 * math.cos(q1) + lower, lower]
-        return [*v, *np.linalg.solve(inertia, u + d - coriolis @ v - weight)]
-
-    return rates
-
-
-SIGMAS = (
-    lambda t, x: 3.0 * (x[0] - 0.5 * np.sin(t)) + x[2] - 0.5 * np.cos(t),
-    lambda t, x: 3.0 * (x[1] - 0.4 * np.cos(1.3 * t)) + x[3] + 0.52 * np.sin(1.3 * t),
-)
 CASES = {
     "held": (qj.Implementation(1.5e-3), ({"period": 1.5e-3}, {"period": 1.5e-3})),
     "late and limited": (

@@ -261,7 +261,10 @@ WRONG = {
         "`noise` must fit a plant with 3 states, but is for 1",
     ),
     "range": (lambda: qj.Implementation(TAU, input_range=((0.0, 1.0), (1.0, 0.0))), "low < high"),
-    "ideal": (lambda: loop_of(None, (LAWS[0], Leaky(SURFACES[1], FUNNEL[1]))), "with which it may be any law"),
+    "ideal": (
+        lambda: loop_of(None, (LAWS[0], Leaky(SURFACES[1], FUNNEL[1]))),
+        "`implementation` must be given for a `Leaky`",
+    ),
 }
 
 

@@ -7,12 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
-from jaxtyping import Array, Float
 
 import qsmc_jax as qj
-from own_plants import Scalar
+from own_plants import Pair, Scalar
 from qsmc_jax.base.errors import InputError
-from qsmc_jax.base.module import float_field
 from qsmc_jax.simulation.trajectory_plots import plot_trajectory
 from qsmc_jax.verification.tiers import Tiers
 
@@ -22,30 +20,6 @@ ROTATED = lambda degrees: [  # noqa: E731
     [math.cos(math.radians(degrees)), -math.sin(math.radians(degrees))],
     [math.sin(math.radians(degrees)), math.cos(math.radians(degrees))],
 ]
-
-
-class Pair(qj.AbstractStateSpace):
-    """Two states that push each other: x' = A x + d + B u, each an output."""
-
-    coupling: Float[Array, ""] = float_field(default=0.0)
-    b11: Float[Array, ""] = float_field(default=1.0)
-    b12: Float[Array, ""] = float_field(default=0.0)
-    b21: Float[Array, ""] = float_field(default=0.0)
-    b22: Float[Array, ""] = float_field(default=1.0)
-
-    states, relative_degrees = 2, (1, 1)
-
-    def vector_field(self, t, x, d):
-        """The coupling, and a disturbance on each."""
-        return self.coupling * jnp.sin(x[1]) + d[0], -self.coupling * x[0] + d[1]
-
-    def input_matrix(self, t, x):
-        """B."""
-        return (self.b11, self.b12), (self.b21, self.b22)
-
-    def output(self, t, x):
-        """Both states."""
-        return x[0], x[1]
 
 
 def laws(funnels=FUNNELS, **options):

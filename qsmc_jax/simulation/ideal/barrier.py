@@ -3,7 +3,8 @@ r"""How far several channels together are from their funnels: $V = \frac{1}{\pi}
 Along a run of several channels, $\dot\sigma = w + B u$, with $v_i = \tan(\pi z_i / 2) / \rho_i$ and $u = u_0 - S v$,
 $\dot V = v \cdot (w + B u_0 - \dot m - \dot\rho z) - v \cdot B S v$. Where V peaks after the start it does not fall:
 there $|v| \le M = |w + B u_0 - \dot m - \dot\rho z| / \lambda$ with the least eigenvalue $\lambda$ of the symmetric
-part of $B S$, and V is no larger than it can be for such a v. No run of the true loop passes that bound.
+part of $B S$, and V is no larger than it can be for such a v. No run of the true loop passes that bound. Of other laws
+than the quasi-sliding one nothing of the kind is known.
 """
 
 import functools as ft
@@ -48,8 +49,13 @@ def add_barrier(problem: JointProblem, running: RunningBarrier, step: Step) -> R
 
 
 def barrier_bound(problem: JointProblem, running: RunningBarrier) -> Float[Array, ""]:
-    """What V can be at its peak; `inf` where the inputs' symmetric part is not positive definite there."""
+    """What V can be at its peak; `inf` where the inputs' symmetric part is not positive definite there.
+
+    NaN if a law is another than the quasi-sliding one.
+    """
     loop, t = problem.loop, running.time
+    if not loop.is_quasi_sliding:
+        return jnp.full((), jnp.nan)
     free, rows = loop.drive(t, running.y[: loop.states])
     pushes, widths, offsets = [], [], []
     for law, w, s in zip(loop.sliding_laws, free, _coordinates(problem, running.y), strict=True):

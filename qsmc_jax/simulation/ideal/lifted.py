@@ -58,12 +58,15 @@ class LiftedCoordinates(AbstractLiftedCoordinates):
 
 
 class ChannelCoordinates(AbstractLiftedCoordinates):
-    r"""Those of a channel of several: $y = (x_1, \dots, x_N, s_1, \dots, s_m)$, all of which is its state."""
+    r"""Those of a channel of several: $y = (x_1, \dots, x_N, s_1, \dots, s_m)$, all of which is its state.
+
+    What laws keep counts among the states.
+    """
 
     def place(self, loop: ClosedLoop) -> int:
         channel = loop.plant
         assert isinstance(channel, Channel)
-        return channel.plant.states + channel.index
+        return channel.states - len(channel.laws) + channel.index
 
     def start(self, loop: ClosedLoop, x0: State) -> Scalars:
         return tuple(x0)
@@ -72,7 +75,8 @@ class ChannelCoordinates(AbstractLiftedCoordinates):
         return tuple(y)
 
     def vector_field(self, t: RealScalarLike, y: State, loop: ClosedLoop) -> Scalars:
-        return loop.driven(t, tuple(y), loop.input_at(t, (), (), (), y[self.place(loop)]))
+        u = loop.input_at(t, y, loop.errors(t, y), loop.desired(t), y[self.place(loop)])
+        return loop.driven(t, tuple(y), u)
 
 
 def funnel_rate(loop: ClosedLoop, t: RealScalarLike, x: State, s: RealScalarLike, rates: Scalars) -> RealScalarLike:
