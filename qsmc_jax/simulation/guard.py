@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from qsmc_jax.accompanied import Accompanied
 from qsmc_jax.base.types import RealScalarLike, Scalars
 from qsmc_jax.channel import Channel
+from qsmc_jax.control.controllers.saturated import is_of_coordinate
 from qsmc_jax.control.funnel import AbstractFunnel, Funnel
 from qsmc_jax.control.law import QuasiSlidingControl
 from qsmc_jax.enclosures.unseen import Step, Unseen, unseen, unseen_each
@@ -261,16 +262,16 @@ def _hiding_in_own(
 ) -> Hiding:
     """The same of a plant in its own coordinates. The disturbance is in its rates, wherever it enters.
 
-    Inputs of other channels under the paper's law hide nothing themselves: each is a known function of its funnel
-    coordinate, which is guarded. What another law may hide pushes all channels. What enters a state where the sliding
-    variable does not see it yet would be found too late there.
+    Inputs of other channels under the paper's law, limited or not, hide nothing themselves: each is a known function of
+    its funnel coordinate, which is guarded. What another law may hide pushes all channels. What enters a state where
+    the sliding variable does not see it yet would be found too late there.
     """
     first, m, d = loops[0].plant, len(loops), _disturbed(loops[0], step)
     own = first.plant if isinstance(first, Channel) else first
     assert isinstance(own, AbstractStateSpace | Accompanied)
     states, has_model = own.states, isinstance(loops[0].reference, AbstractReferenceModel)
     laws = first.laws if isinstance(first, Channel) else ()
-    given = [j for j, law in enumerate(laws) if not isinstance(law, QuasiSlidingControl)]
+    given = [j for j, law in enumerate(laws) if not is_of_coordinate(law)]
 
     def numbers(t: RealScalarLike) -> tuple[RealScalarLike, ...]:
         y = at(t)

@@ -13,7 +13,7 @@ import qsmc_jax as qj
 from qsmc_jax.base.errors import InputError
 from qsmc_jax.base.module import float_field
 from qsmc_jax.base.precision import in_64_bits
-from qsmc_jax.control.controllers.saturated import limits_of
+from qsmc_jax.control.controllers.saturated import is_of_coordinate, limits_of
 from qsmc_jax.enclosures.unseen import Nodes, Step, unseen
 from studies_for_tests import Integrator
 
@@ -248,6 +248,15 @@ def test_the_limits_of_a_law_are_known_through_what_is_around_it():
         assert limits_of(law) == (-math.inf, math.inf)
     narrower = qj.controllers.Saturated(qj.controllers.Saturated(inner, (-5.0, 5.0)), (-2.0, 2.0))
     assert [float(each) for each in limits_of(narrower)] == [-2.0, 2.0]
+
+
+def test_only_the_quasi_sliding_law_and_its_limits_are_known_to_be_of_the_funnel_coordinate_alone():
+    inner = qj.QuasiSlidingControl(qj.SlidingSurface([]), FUNNEL)
+    limited, own = qj.controllers.Saturated(inner, (-1.0, 3.0)), Integral(qj.SlidingSurface([]), FUNNEL)
+    known = inner, limited, qj.controllers.Saturated(limited, (-0.5, 0.5))
+    estimated = qj.controllers.StateVariableFilter(limited, 5.0)
+    other = own, qj.controllers.Saturated(own, (-1.0, 1.0)), estimated, qj.controllers.Saturated(estimated, (-1.0, 1.0))
+    assert [is_of_coordinate(law) for law in (*known, *other)] == [True] * 3 + [False] * 4
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

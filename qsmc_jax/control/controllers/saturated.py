@@ -13,6 +13,7 @@ from qsmc_jax.control.control import AbstractControl, Sample
 from qsmc_jax.control.controllers.estimator import AbstractEstimator
 from qsmc_jax.control.controllers.wrapping import AbstractWrappingControl
 from qsmc_jax.control.dynamic_control import AbstractDynamicControl, memory_at_start, memory_rates
+from qsmc_jax.control.law import QuasiSlidingControl
 
 
 class Saturated(AbstractWrappingControl, AbstractDynamicControl):
@@ -63,6 +64,15 @@ class Saturated(AbstractWrappingControl, AbstractDynamicControl):
 
     def memory_rates(self, sample: Sample, memory: Scalars) -> Scalars:
         return memory_rates(self.law, sample, memory)
+
+
+def is_of_coordinate(law: AbstractControl) -> bool:
+    """Whether an input is a known function of the funnel coordinate and time: the quasi-sliding law's, limited or not.
+
+    Args:
+        law: The law.
+    """
+    return isinstance(law, QuasiSlidingControl) or (isinstance(law, Saturated) and is_of_coordinate(law.law))
 
 
 def limits_of(law: AbstractControl) -> tuple[RealScalarLike, RealScalarLike]:
