@@ -68,20 +68,12 @@ class Card(AbstractResult):
         boxes: Boxes that the proof might tell apart.
 
     Examples:
+        It is what `qj.card` returns; each part is a result of its own:
+
+        >>> import dataclasses
         >>> import qsmc_jax as qj
-        >>> class Tank(qj.AbstractPlant):
-        ...     order = 1
-        ...     def drift(self, t, x):
-        ...         return -x[0]
-        ...     def gain(self, t, x):
-        ...         return 1.0
-        >>> def scenario(draw):
-        ...     law = qj.QuasiSlidingControl(qj.SlidingSurface([]), qj.Funnel(1.0, 1.0, 0.2))
-        ...     loop = qj.ClosedLoop(Tank(), qj.references.Constant(0.0), qj.disturbances.Constant(0.5), law)
-        ...     return qj.Scenario(loop, x0=[draw.uniform("level", -0.5, 0.5)], t1=5.0)
-        >>> card = qj.card(qj.Study(scenario, bandwidth=0.5), runs=64, budget=20, boxes=1)
-        >>> card.proof.verdict, [each.column for each in card.brackets]
-        ('PROVED', ['peak_u', 'peak_ratio'])
+        >>> [field.name for field in dataclasses.fields(qj.Card)][:4]
+        ['study', 'verification', 'attack', 'proof']
     """
 
     study: Study

@@ -20,7 +20,7 @@ from qsmc_jax.model.unseen import is_consistent
 from qsmc_jax.numerics.gudermann import margin, ratio, sinh_cosh
 from qsmc_jax.simulation.ideal.accumulate import Peak, RunningMetrics
 from qsmc_jax.simulation.ideal.barrier import barrier_bound
-from qsmc_jax.simulation.ideal.guarded_solver import Run
+from qsmc_jax.simulation.ideal.guarded_solver import ESCAPE, Run
 from qsmc_jax.simulation.ideal.input import law_of_coordinate, least_and_largest
 from qsmc_jax.simulation.ideal.step import IdealStep, no_step
 from qsmc_jax.simulation.ideal.step_size import UNRESOLVED
@@ -133,7 +133,9 @@ def _is_stuck(final: FinalState) -> Bool[Array, ""]:
 
 def _leaves(problem: Problem, final: FinalState) -> Bool[Array, ""]:
     """Whether a channel leaves its funnel where the solve stopped, if it stopped early."""
-    is_stuck, is_far = _is_stuck(final), final.result == dfx.RESULTS.event_occurred
+    s = problem.coordinates.funnel_motion(problem.loop, final.end_time, final.run.y, final.rates)[0]
+    # Of several channels another may be the one that is followed to where the edge is no longer resolved.
+    is_stuck, is_far = _is_stuck(final), (final.result == dfx.RESULTS.event_occurred) & (jnp.abs(s) > 0.5 * ESCAPE)
     leaves = (is_stuck | is_far) & _is_leaving(problem, final, is_far)
     return jnp.asarray(leaves | (is_stuck & _is_thrown_out(problem, final)))
 
