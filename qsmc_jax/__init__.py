@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from qsmc_jax.model.state_space import AbstractStateSpace as AbstractStateSpace
     from qsmc_jax.multivariable import MultivariableLoop as MultivariableLoop
     from qsmc_jax.proof.certify import certify as certify
+    from qsmc_jax.proof.residual import ResidualBound as ResidualBound
+    from qsmc_jax.proof.residual import residual_bound as residual_bound
     from qsmc_jax.proof.result import Proof as Proof
     from qsmc_jax.report.card import Card as Card
     from qsmc_jax.report.card import card as card
@@ -122,6 +124,8 @@ _HOMES = {
     "Requirement": "qsmc_jax.metrics.requirements",
     "certify": "qsmc_jax.proof.certify",
     "Proof": "qsmc_jax.proof.result",
+    "ResidualBound": "qsmc_jax.proof.residual",
+    "residual_bound": "qsmc_jax.proof.residual",
     "Card": "qsmc_jax.report.card",
     "card": "qsmc_jax.report.card",
     "load": "qsmc_jax.report.saved",

@@ -48,7 +48,7 @@ PROVED, NOT_PROVED = "PROVED", "NOT_PROVED"
 # Slabs that are looked at together: as many as fit a processor's cache.
 _TOGETHER = 4096
 _SIDES = np.array([-1.0, 1.0])
-_PLACES = {"drive", "gain", "rho", "sigma", "bound", "plant_gain", "law_gain", "offset", "highest"}
+_PLACES = {"drive", "gain", "rho", "sigma", "bound", "plant_gain", "law_gain", "offset", "highest", "residual"}
 
 
 class RefusedError(ValueError):

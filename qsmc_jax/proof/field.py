@@ -122,7 +122,8 @@ class Loop(NamedTuple):
         names: The uncertain numbers.
         program: Operations of the loop at an instant, of `t`, `z`, `e0`, ..., and the names.
         places: Where in it are `drive` (rate of sigma without d and the tangent, less m' + z rho'), `gain` (what the
-            tangent is multiplied by), `rho`, `sigma`, `bound` (of |d|), `plant_gain`, `law_gain`, `offset`, `highest`.
+            tangent is multiplied by), `rho`, `sigma`, `bound` (of |d|), `plant_gain`, `law_gain`, `offset`, `highest`,
+            `residual` (with the offset, without d).
         start: Operations of the start, of the names.
         starts: Where in it are z and E.
     """

@@ -20,7 +20,7 @@ from qsmc_jax.study.draw import Draw
 from qsmc_jax.study.specs import RECORDED, DrawSpec
 from qsmc_jax.study.study import Scenario, Study
 
-PLACES = ("drive", "gain", "rho", "sigma", "bound", "plant_gain", "law_gain", "offset", "highest")
+PLACES = ("drive", "gain", "rho", "sigma", "bound", "plant_gain", "law_gain", "offset", "highest", "residual")
 
 
 class UnprovenError(Exception):
@@ -144,7 +144,8 @@ def _field(study: Study, t: Any, z: Any, e: tuple[Any, ...], values: dict[str, A
     drive = residual + gain * law.offset - (centre_rate + z * rho_rate)
     plant_gain = law.gain_sign * gain
     found = drive, plant_gain * law_gain, rho, sigma, loop.disturbance.bound, plant_gain
-    return _numbers(*found, law.gain_sign * law_gain, law.offset, highest)
+    acting = residual + gain * law.offset
+    return _numbers(*found, law.gain_sign * law_gain, law.offset, highest, acting)
 
 
 def _start(study: Study, values: dict[str, Any]) -> tuple[Any, ...]:
