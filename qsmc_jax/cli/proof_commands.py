@@ -53,7 +53,6 @@ def certify_study(
                 for name, file in proof.files().items():
                     folder.add_file(name, file)
                 folder.add_json("certify.json", content)
-                folder.add_result(proof)
                 folder.add_picture("proof.png", proof.plot)
                 folder.commit()
                 if not as_json:

@@ -96,12 +96,17 @@ def load_proof(folder: Path, study: Study | None = None) -> Proof:
     """
     try:
         content, arrays = read(folder)
-        if content.get("verdict") != NOT_PROVED:
+        if content["verdict"] == NOT_PROVED:
+            str(Proof(content, {}))  # says why
+        else:
             check(content, arrays)
-    except RefusedError as error:
-        raise InputError(f"Argument `DIR` must be a proof that holds, but `{folder}` is none: {error}.") from None
-    if study is not None:
-        _require_same(content, study)
+        if study is not None:
+            _require_same(content, study)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  # whatever a damaged file may raise
+        told = error if isinstance(error, RefusedError) else f"{type(error).__name__}: {error}"
+        raise InputError(f"Folder `{folder}` must hold a proof that holds, but does not: {told}.") from None
     return Proof(content, arrays)
 
 
@@ -109,14 +114,12 @@ def _require_same(content: dict[str, Any], study: Study) -> None:
     """Raises unless a proof is of this study: of its code, its program and its uncertainty set."""
     own = _about(study.substitute(**{name: np.array(value) for name, value in content["values"].items()}))
     differ = [name for name in ("study", "bandwidth") if own[name] != content[name]]
-    require(not differ, f"Argument `STUDY` must be the study of the proof, but differs in: {', '.join(differ)}.")
+    require(not differ, f"The study must be that of the proof, but differs in: {', '.join(differ)}.")
     if content["verdict"] == PROVED:
         loop, domain, horizon = traced(study.substitute(**{n: np.array(v) for n, v in content["values"].items()}))
         now = {"loop": _loop(loop), "domain": _hexed(domain), "horizon": horizon.hex()}
         differ = [name for name, value in now.items() if value != content[name]]
-        require(
-            not differ, f"Argument `STUDY` must be the study of the proof, but another {', '.join(differ)} is traced."
-        )
+        require(not differ, f"The study must be that of the proof, but another {', '.join(differ)} is traced.")
 
 
 def _about(study: Study) -> dict[str, Any]:

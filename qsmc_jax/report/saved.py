@@ -21,6 +21,8 @@ from qsmc_jax.campaign.folder import RunFolder
 from qsmc_jax.loop import ClosedLoop
 from qsmc_jax.metrics.metric import AbstractMeasure
 from qsmc_jax.multivariable import MultivariableLoop
+from qsmc_jax.proof.certify import load_proof
+from qsmc_jax.proof.checker import PROOF
 from qsmc_jax.study.runs import Runs, concatenate
 from qsmc_jax.study.study import Study
 
@@ -83,7 +85,8 @@ def load(path: str | Path, of: Study | ClosedLoop | MultivariableLoop | None = N
     """Reads what `save` or the option `--out` of a command wrote.
 
     Args:
-        path: A file of `save`, or a folder of `--out`. That of `qsmc verify` gives its rows so far, as `Runs`.
+        path: A file of `save`, or a folder of `--out`. That of `qsmc verify` gives its rows so far, as `Runs`; that of
+            `qsmc certify` a proof, checked again.
         of: The study of the result, or the loop of a trajectory; needed where it holds one, or code of your own. Of a
             trajectory it is not checked that this code is what it was.
 
@@ -109,6 +112,9 @@ def load(path: str | Path, of: Study | ClosedLoop | MultivariableLoop | None = N
     path, own = Path(path), list(_classes_in(of))
     if path.is_dir() and (path / "manifest.json").exists():
         return _rows(RunFolder.open(path))
+    if path.is_dir() and (path / PROOF).exists():
+        require(of is None or isinstance(of, Study), "Argument `of` must be the study of the proof.")
+        return load_proof(path, of)
     file = path / RESULT if path.is_dir() else path
     require(file.is_file(), f"Argument `path` must be a result or a folder with one, but there is no `{file}`.")
     try:

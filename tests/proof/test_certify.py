@@ -217,7 +217,7 @@ def test_a_proof_whose_tube_was_tampered_with_is_refused(folder, tmp_path, chang
 
 
 def refused(folder, study=None):
-    with pytest.raises(qj.InputError, match="must be a proof that holds|must be the study of the proof"):
+    with pytest.raises(qj.InputError, match="must hold a proof that holds|must be that of the proof"):
         load_proof(folder, study)
 
 
@@ -241,11 +241,19 @@ def surface(content):
     content["loop"]["c"] = [(2.1).hex()]
 
 
+def damaged(content):
+    del content["claims"]
+
+
+def of_nothing(content):
+    del content["values"]
+
+
 def tree(content):
     content["tree"] = [[0, (0.01).hex()], []]
 
 
-@pytest.mark.parametrize("change", [claim, domain, bound, surface, tree])
+@pytest.mark.parametrize("change", [claim, domain, bound, surface, tree, damaged])
 def test_a_proof_whose_content_was_tampered_with_is_refused(folder, tmp_path, change):
     tampered(folder / EXAMPLE_1, tmp_path, change)
     refused(tmp_path)
@@ -290,6 +298,10 @@ def test_a_proof_is_of_its_study(folder, tmp_path):
     tampered(folder / "still", tmp_path, named)
     assert load_proof(tmp_path).is_proved
     refused(tmp_path, other)
+    tampered(folder / "still", tmp_path, of_nothing)
+    refused(tmp_path, proofs.still())
+    (tmp_path / "proof.json").write_text("[]")
+    refused(tmp_path)
 
 
 @pytest.mark.slow

@@ -6,6 +6,8 @@ import pytest
 from typer.testing import CliRunner
 
 import places
+import qsmc_jax as qj
+from proof import proofs
 from qsmc_jax.cli.main import app
 
 STUDY = """
@@ -40,16 +42,16 @@ def test_a_study_is_proved_checked_and_told_from_others(file, tmp_path):
         "certify.json",
         "proof.json",
         "proof.png",
-        "result.npz",
         "tubes.npz",
     }
+    assert qj.load(out, of=proofs.still()).peak_u == said["peak_u"]
     done = qsmc("check", out, file())
     assert done.exit_code == 0, done.output
     assert "PROVED: every run stays in its funnel for ever" in done.stdout
     assert "Checked" in qsmc("check", out).stdout
     other = qsmc("check", out, file(bound=1.5))
     assert other.exit_code == 2
-    assert "Argument `STUDY` must be the study of the proof" in other.output
+    assert "The study must be that of the proof" in other.output
     content = (out / "proof.json").read_text()
     (out / "proof.json").write_text(content.replace('"peak_u": "0x1.', '"peak_u": "0x0.'))
     refused = qsmc("check", out)
@@ -80,4 +82,4 @@ def test_bad_input_has_exit_code_2(file, arguments, message):
 def test_a_folder_that_holds_no_proof_has_exit_code_2(tmp_path):
     done = qsmc("check", tmp_path)
     assert done.exit_code == 2
-    assert "Argument `DIR` must be a proof that holds" in " ".join(done.output.split())
+    assert "must hold a proof that holds" in " ".join(done.output.split())
