@@ -1,4 +1,4 @@
-"""The search for a proof: a tree of boxes, a tube for each, one for all that follows, and room where it fails."""
+"""The search for a proof: a tree of boxes, a tube for each, and one for all that follows."""
 
 import dataclasses
 import math
@@ -157,6 +157,8 @@ class Search:
     def _first(self) -> tuple[float, float]:
         """When boxes are joined, and the bound of the input from then on, by one tube for all."""
         tube, u = self._along(self._starts(self.domain[None]), self.domain, (0.0, self.horizon), self._pace)
+        if tube.times.shape[1] == 1:
+            raise UnprovenError(_reason(tube, u))
         times, u = tube.times[0], np.append(u, np.inf if tube.times[0, -1] < self.horizon else 0.0)
         later = np.maximum.accumulate(u[::-1])[::-1]
         calm = np.flatnonzero(later <= _CALM * later[0]) if np.isfinite(later[0]) else []
