@@ -367,4 +367,8 @@ def claims_of(bounds: Bounds) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(check(*read(Path(sys.argv[1]))))  # noqa: T201
+    try:
+        print(check(*read(Path(sys.argv[1]))))  # noqa: T201
+    except RefusedError as refusal:
+        print(f"The proof does not hold: {refusal}.", file=sys.stderr)  # noqa: T201
+        sys.exit(2)

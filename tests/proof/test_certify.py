@@ -66,6 +66,16 @@ def test_runs_lie_within_the_tube_at_every_time(folder):
     assert [axis.get_xlabel() for axis in axes] == ["", "t [s]"]
 
 
+@pytest.mark.parametrize(("name", "code", "told"), [("still", 0, "peak_u=2.00"), ("nothing", 2, "can't be read")])
+def test_the_checker_needs_no_jax(folder, name, code, told):
+    program = (
+        "import runpy, sys; sys.modules['jax'] = None; runpy.run_module('qsmc_jax.proof.checker', run_name='__main__')"
+    )
+    done = subprocess.run([sys.executable, "-c", program, folder / name], capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
+    assert told in done.stdout + done.stderr
+
+
 def test_a_proof_says_what_is_certain(folder):
     proof = load_proof(folder / "still")
     assert str(proof).startswith("PROVED: every run stays in its funnel for ever, with |sigma| / rho <= 0.70602")
