@@ -31,9 +31,10 @@ def certify(study: Study, boxes: int = 64, target: float | None = None) -> Proof
     r"""Bounds that are certain for every run of a study, by a proof that can be checked.
 
     They are of the input, the funnel ratio, the errors and the gain.
-    For all starts and uncertain numbers within what the study's distributions can give, also numbers that vary in time,
-    and for every measurable disturbance within its bound, also one that depends on the state: the sliding variable
-    stays in its funnel, and the bounds hold. Probabilities play no part.
+    For all starts and uncertain numbers within what the study's distributions can give, and for every measurable
+    disturbance within its bound, also one that depends on the state: the sliding variable stays in its funnel, and the
+    bounds hold. Probabilities play no part. Numbers of the plant, and of the law's gain, may vary in time, unless boxes
+    are told apart by them; those of funnel and reference are constant along a run: `constant` of the result names them.
 
     A tube is guessed in floating point, and checked slab by slab in interval arithmetic with outward rounding. The
     result is NOT_PROVED, with the reason, where none is found that holds: this says nothing against the loop.
@@ -126,11 +127,7 @@ def _about(study: Study) -> dict[str, Any]:
     """What a proof is of."""
     values = {name: np.asarray(value).tolist() for name, value in sorted(study.values.items())}
     parts = [list(part) for part in study.contents]
-    return {"format": FORMAT, "study": parts, "bandwidth": _listed(study.bandwidth), "values": values}
-
-
-def _listed(bandwidth: Any) -> Any:
-    return list(bandwidth) if isinstance(bandwidth, tuple) else bandwidth
+    return {"format": FORMAT, "study": parts, "bandwidth": study.bandwidth, "values": values}
 
 
 def _told(certificate: Certificate) -> dict[str, Any]:
@@ -144,7 +141,8 @@ def _told(certificate: Certificate) -> dict[str, Any]:
 
 def _loop(loop: Loop) -> dict[str, Any]:
     told = loop._asdict()
-    return {**told, "c": [each.hex() for each in loop.c], "names": list(loop.names), "places": dict(loop.places)}
+    plain = {"names": list(loop.names), "places": dict(loop.places), "constant": list(loop.constant)}
+    return {**told, "c": [each.hex() for each in loop.c], **plain}
 
 
 def _hexed(array: np.ndarray) -> list[list[str]]:

@@ -9,11 +9,13 @@ box and any disturbance $|d| \le \bar d$, and lower faces likewise, then a run t
 of the rates are found by inclusion, so they hold on the moved faces too, where they are larger by at most
 $L' \varepsilon e^{Lt}$, for they depend on the faces in a Lipschitz way. With $L > L'$ the moved faces outrun every
 run that touches them: none crosses, for every $\varepsilon > 0$. Since the tube is bounded and lies in $|z| < 1$, where
-the law is smooth, the run exists as long as the tube does. Nothing is asked of how uncertain numbers and disturbances
-depend on time or state, but that they are measurable and solutions exist. $\square$
+the law is smooth, the run exists as long as the tube does. Nothing is asked of how disturbances and numbers of a box
+depend on time or state, but that they are measurable and solutions exist; only numbers of which funnel and reference
+are made are constant, since the rates of these are worked out so. $\square$
 
 **How it branches.** The uncertainty set is cut by a binary tree of (number, place) whose leaves are boxes, each with a
-tube of its own up to a common time; so the boxes cover it by construction. From then on one tube, the trunk, holds them
+tube of its own up to a common time; so the boxes cover it by construction, for numbers that do not vary from one box
+to another: those by which it is cut are constant. From then on one tube, the trunk, holds them
 all for the whole set; a last slab that reaches to infinity, if there is one, has constant faces.
 """
 
@@ -211,13 +213,8 @@ def verify(certificate: Certificate) -> Bounds:
 
 
 def _verify(certificate: Certificate) -> Bounds:
-    ar, loop, leaves, trunk, tail = (
-        Arithmetic(),
-        certificate.loop,
-        certificate.leaves,
-        certificate.trunk,
-        certificate.tail,
-    )
+    ar, loop = Arithmetic(), certificate.loop
+    leaves, trunk, tail = certificate.leaves, certificate.trunk, certificate.tail
     _require_loop(loop)
     boxes = np.stack(list(leaves_of(certificate.domain, certificate.tree)))
     require(np.isfinite(certificate.domain) & (certificate.domain[:, :1] <= certificate.domain), "the domain is no box")
@@ -296,6 +293,7 @@ def _require_loop(loop: Loop) -> None:
                 places = given[:1] if name == "power" else given
                 require([0 <= int(place) < here for place in places], "an operation comes before its operand")
                 require(name != "power" or given[1] >= 1, "a power is below 1")
+    require(set(loop.constant) <= set(loop.names), "a number that has to be constant is not there")
     require(set(loop.places) == _PLACES, "the results of the loop are not those wanted")
     require([0 <= p < len(loop.program) for p in loop.places.values()], "a result is not there")
     require([0 <= p < len(loop.start) for p in loop.starts], "a start is not there")
@@ -321,7 +319,8 @@ def certificate_of(content: Mapping[str, Any], arrays: Mapping[str, np.ndarray])
     """The certificate that a folder holds; numbers are texts that name doubles exactly."""
     numbers = np.vectorize(float.fromhex, otypes=[float])
     raw = content["loop"]
-    loop = Loop(**{**raw, "c": tuple(map(float.fromhex, raw["c"])), "names": tuple(raw["names"])})
+    plain = {name: tuple(raw[name]) for name in ("names", "constant")}
+    loop = Loop(**{**raw, **plain, "c": tuple(map(float.fromhex, raw["c"]))})
     size = (loop.order - 1, loop.order - 1)
     frame = numbers(content["frame"]).reshape(size) if loop.order > 1 else np.zeros(size)
     modes = [Mode(m[0], float.fromhex(m[1]), float.fromhex(m[2]), m[3], numbers(m[4])) for m in content["modes"]]

@@ -6,8 +6,8 @@ and j places before. Over a box its value is found by natural interval evaluatio
 $F(x) \in F(x_0) + \sum_i \partial_i F(B) (x_i - x_{0,i})$ for x and $x_0$ in the box B,
 
 with derivatives by the chain rule in interval arithmetic, which holds for Lipschitz functions with Clarke's derivative
-(Lebourg), so for `abs`, `max` and `min` too. $x_0$ is Baumann's centre, a corner where something is
-monotone, which costs nothing then. Both hold, so does the narrower.
+(Lebourg), so for `abs`, `max` and `min` too. $x_0$ is Baumann's centre, a corner where something is monotone, which
+costs nothing then. Both hold, so does the narrower.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -123,9 +123,10 @@ class Loop(NamedTuple):
         program: Operations of the loop at an instant, of `t`, `z`, `e0`, ..., and the names.
         places: Where in it are `drive` (rate of sigma without d and the tangent, less m' + z rho'), `gain` (what the
             tangent is multiplied by), `rho`, `sigma`, `bound` (of |d|), `plant_gain`, `law_gain`, `offset`, `highest`,
-            `residual` (with the offset, without d).
+            `residual` (no d).
         start: Operations of the start, of the names.
         starts: Where in it are z and E.
+        constant: Numbers of which funnel and reference are made, whose rates are worked out for constant ones.
     """
 
     order: int
@@ -135,6 +136,7 @@ class Loop(NamedTuple):
     places: Mapping[str, int]
     start: Sequence[Sequence[Any]]
     starts: Sequence[int]
+    constant: tuple[str, ...]
 
 
 class Mode(NamedTuple):

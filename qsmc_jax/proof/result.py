@@ -99,6 +99,15 @@ class Proof(AbstractResult):
         return float.fromhex(loop["program"][loop["places"]["bound"]][1])
 
     @property
+    def constant(self) -> tuple[str, ...]:
+        """Numbers that are constant along each run of which this holds; others of the plant may vary in time."""
+        if not self.is_proved:
+            return ()
+        loop, tree = self.content["loop"], self.content["tree"]
+        told = {*loop["constant"], *(loop["names"][cut[0]] for cut in tree if cut)}
+        return tuple(name for name in self._acting() if name in told)
+
+    @property
     def boxes(self) -> int:
         """How many boxes of starts and parameters are told apart."""
         return len(self.arrays["leaves_z"]) if self.is_proved else 0
@@ -162,6 +171,7 @@ class Proof(AbstractResult):
             "is_for_ever": math.isinf(self.until),
             "boxes": self.boxes,
             "uncertain": self._uncertain(),
+            "constant": list(self.constant),
             "values": dict(self.content["values"]),
         }
 
@@ -172,9 +182,20 @@ class Proof(AbstractResult):
         until = "for ever" if math.isinf(self.until) else f"up to t = {self.until:g} s"
         return (
             f"PROVED: every run stays in its funnel {until}, with |sigma| / rho <= {_up(self.peak_ratio)} and |u| <= "
-            f"{_up(self.peak_u)}, for all numbers in the box, constant or not, and every measurable |d| <= "
+            f"{_up(self.peak_u)}, for all numbers in the box{self._varying()}, and every measurable |d| <= "
             f"{self.disturbance_bound:g}."
         )
+
+    def _acting(self) -> list[str]:
+        """Uncertain numbers that count along a run, not only at its start."""
+        loop = self.content["loop"]
+        return [name for name in loop["names"] if ["input", name] in loop["program"]]
+
+    def _varying(self) -> str:
+        """Which numbers may vary along a run, in words."""
+        if len(self.constant) == len(self._acting()):
+            return ", each constant along a run" if self.constant else ""
+        return ", constant or not" + (f" (constant: {', '.join(self.constant)})" if self.constant else "")
 
     def _uncertain(self) -> dict[str, list[float]]:
         if not self.is_proved:
@@ -198,6 +219,7 @@ class Proof(AbstractResult):
             return self.conclusion()
         rows = [self.conclusion()]
         rows += [f"  {name:14} in [{low:g}, {high:g}]" for name, (low, high) in self._uncertain().items()]
+        rows += [f"  {name:14} = {value}, as given" for name, value in self.content["values"].items()]
         rows += [f"  |e^({i})|         <= {_up(each)}" for i, each in enumerate(self.peak_errors)]
         return "\n".join([*rows, f"  |g|            >= {_down(self.least_gain)}", f"  boxes          {self.boxes}"])
 

@@ -50,9 +50,11 @@ def traced(study: Study) -> tuple[Loop, np.ndarray, float]:
             number, number, (number,) * (order - 1), stand_ins
         )
         start = jax.make_jaxpr(lambda values: _start(study, values))(stand_ins)
+        moving = jax.make_jaxpr(lambda t, values: _moving(study, t, values))(number, stand_ins)
         given = [places[name] for name in sorted(places)]
         found = dict(zip(PLACES, (int(each) for each in made.run(field, [*inputs, *given])), strict=True))
         begins = [int(each) for each in made.run(start, given)]
+        moved = live(made.operations, [int(each) for each in made.run(moving, [inputs[0], *given])])[0]
     found["bound"] = made.number(_bound(made, found["bound"], drawn))
     program, at = live(made.operations, list(found.values()))
     begin, (horizon, *starts) = live(made.operations, begins)
@@ -61,7 +63,8 @@ def traced(study: Study) -> tuple[Loop, np.ndarray, float]:
     names = [each for spec in drawn for each in spec.columns if ["input", each] in program or ["input", each] in begin]
     domain = np.array([_ends(spec) for spec in drawn for each in spec.columns if each in names]).reshape(-1, 2)
     c = tuple(float(each) for each in np.asarray(law.surface.c))
-    made_of = Loop(order, c, tuple(names), program, dict(zip(PLACES, at, strict=True)), begin, starts)
+    constant = tuple(name for name in names if ["input", name] in moved)
+    made_of = Loop(order, c, tuple(names), program, dict(zip(PLACES, at, strict=True)), begin, starts, constant)
     return made_of, domain, float.fromhex(begin[horizon][1])
 
 
@@ -146,6 +149,12 @@ def _field(study: Study, t: Any, z: Any, e: tuple[Any, ...], values: dict[str, A
     found = drive, plant_gain * law_gain, rho, sigma, loop.disturbance.bound, plant_gain
     acting = residual + gain * law.offset
     return _numbers(*found, law.gain_sign * law_gain, law.offset, highest, acting)
+
+
+def _moving(study: Study, t: Any, values: dict[str, Any]) -> tuple[Any, ...]:
+    """What moves in time by itself: funnel and desired output, whose rates are worked out."""
+    loop, law, _ = _covered(_scenario(study, values))
+    return _numbers(*law.funnel.width_and_rate(t), *law.funnel.centre_and_rate(t), *loop.desired(t))
 
 
 def _start(study: Study, values: dict[str, Any]) -> tuple[Any, ...]:

@@ -1,5 +1,6 @@
 """Proofs of loops whose worst is known, and proofs that were tampered with."""
 
+import dataclasses
 import json
 import math
 import os
@@ -17,6 +18,7 @@ import qsmc_jax as qj
 from problems import STILL_BANDWIDTH, WIDTH
 from proof import proofs
 from qsmc_jax.proof.certify import load_proof
+from qsmc_jax.proof.traced import traced
 
 EXAMPLE_1 = "example1"
 
@@ -81,7 +83,42 @@ def test_a_proof_says_what_is_certain(folder):
     assert str(proof).startswith("PROVED: every run stays in its funnel for ever, with |sigma| / rho <= 0.70602")
     assert "every measurable |d| <= 2." in str(proof)
     assert proof.summary()["uncertain"] == {"x0": [-0.2, 0.2]}
+    fixed = qj.Proof({**proof.content, "values": {"d": 0.5}}, proof.arrays)
+    assert "  d              = 0.5, as given" in str(fixed)
     assert f"<= {math.ceil(proof.peak_u * 1e5) / 1e5:g}" in str(proof)
+
+
+def test_a_proof_says_which_numbers_may_vary_along_a_run(folder):
+    """Of one box all of the plant's; of several none by which they are told apart."""
+    proof = load_proof(folder / EXAMPLE_1)
+    assert proof.constant == ()
+    assert "for all numbers in the box, constant or not, and every" in str(proof)
+    names = proof.content["loop"]["names"]
+    for cut, constant, told in (
+        (["x0[0]"], (), ", constant or not, and"),
+        (["mass", "x0[0]"], ("mass",), ", constant or not (constant: mass), and"),
+        (["mass", "length", "friction"], ("mass", "length", "friction"), ", each constant along a run, and"),
+    ):
+        tree = [[names.index(name), (0.0).hex()] for name in cut]
+        of_boxes = qj.Proof({**proof.content, "tree": tree}, proof.arrays)
+        assert of_boxes.constant == constant
+        assert told in of_boxes.conclusion()
+
+
+def test_numbers_of_funnel_and_reference_are_constant():
+    """Their rates are worked out for constant ones: a width that changes by itself would add to rho'."""
+    assert traced(proofs.example(1))[0].constant == ()
+    assert traced(proofs.example(2))[0].constant == ("rho0", "mu", "rho_inf")
+    wave = lambda draw: qj.references.SumOfSines([draw.uniform("height", 0.1, 0.2)], [1.0])  # noqa: E731
+    loop = proofs.still().nominal.loop
+
+    def scenario(draw):
+        moved = dataclasses.replace(loop, reference=wave(draw), plant=proofs.Integrator(draw.uniform("g", 1.0, 2.0)))
+        return qj.Scenario(moved, x0=[draw.uniform("x0", 0.0, 0.1)], t1=3.0)
+
+    found = traced(qj.Study(scenario, bandwidth=STILL_BANDWIDTH))[0]
+    assert found.constant == ("height",)
+    assert set(found.names) == {"height", "g", "x0"}
 
 
 @pytest.mark.parametrize(
