@@ -4,6 +4,7 @@ import math
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import scipy.integrate
 import scipy.optimize
 from jaxtyping import Array, Float
@@ -198,3 +199,24 @@ def solved(name, rtol=1e-11):
     peak = max(-best.fun, ratios[k])
     states = found.sol(ts)
     return {"x1": found.y[:, -1], "peak_ratio": peak, "highest": states.max(axis=1), "states": states, "ts": ts}
+
+
+# Gains of two inputs each of which moves its own channel alone.
+UNTOUCHED = (2.0, 0.7)
+
+
+def beside_scalar_runs(loop, gains, x0, t1, settings):
+    """A run of channels that do not touch, and those of loops with one input each, whose metrics it must have."""
+    widths = (0.5, 0.7)
+    run, found = qj.simulate(loop, x0, t1, settings=settings, bandwidth=widths), []
+    for i, (gain, width) in enumerate(zip(gains, widths, strict=True)):
+        parts = loop.references[i], loop.disturbances[i], loop.controls[i]
+        alone = qj.simulate(qj.ClosedLoop(Scalar(gain), *parts), x0[i : i + 1], t1, settings=settings, bandwidth=width)
+        # The steps are others: what is read off an interpolant of u differs by its error.
+        known = dict.fromkeys(("peak_ratio", "margin", "reach_time", "rms_error", "least_gain"), 1e-9)
+        for name, rel in {**known, "max_u": 1e-7, "min_u": 1e-7}.items():
+            expected = float(getattr(alone.metrics, name))
+            assert float(run.metrics.channels[f"{name}[{i}]"]) == pytest.approx(expected, rel=rel), name
+        np.testing.assert_allclose(run.x[:, i], alone.x[:, 0], atol=1e-9)
+        found.append(alone)
+    return run, found
