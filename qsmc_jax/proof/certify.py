@@ -39,10 +39,11 @@ def certify(study: Study, boxes: int = 64, target: float | None = None) -> Proof
     A tube is guessed in floating point, and checked slab by slab in interval arithmetic with outward rounding. The
     result is NOT_PROVED, with the reason, where none is found that holds: this says nothing against the loop.
 
-    Covered are ideal loops of a chain of integrators under `QuasiSlidingControl`, with any funnel, a fixed surface, a
-    reference that is a function of time, and functions without jumps. Functions of the study are taken as they compute
-    on real numbers, with its constants as the doubles they are; of `derivatives` of the reference each is taken to be
-    the derivative of the one before, as the rates of a funnel of one's own are taken for its rates.
+    Covered are ideal loops of a chain of integrators under `QuasiSlidingControl`, with a fixed surface, a reference
+    that is a function of time, and functions without jumps or cases: so funnels that end at a time, `FiniteTime` and
+    `PrescribedTime`, are not. Functions of the study are taken as they compute on real numbers, with its constants as
+    the doubles they are; of `derivatives` of the reference each is taken to be the derivative of the one before, as the
+    rates of a funnel of one's own are taken for its rates.
 
     Args:
         study: The study; what its draws may give is the uncertainty set.

@@ -177,5 +177,5 @@ def _require_known(program: list[list[Any]]) -> None:
         listed = ", ".join(f"`{name}`" for name in unknown)
         raise UnprovenError(
             f"the scenario computes by {listed}, for which there is no enclosure that is proved. Smooth functions of "
-            "`jax.numpy` have one; jumps, tables and loops have not"
+            "`jax.numpy` have one; jumps, cases, tables and loops have not"
         )

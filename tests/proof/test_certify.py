@@ -130,6 +130,7 @@ def test_numbers_of_funnel_and_reference_are_constant():
         (lambda: proofs.third((2.0, 2.0)), r"has the roots -1 \+- 1j: boxes of errors grow"),
         (lambda: own(lambda t, x: 0.1 * jnp.floor(t)), "computes by `floor`"),
         (lambda: own(lambda t, x: jnp.where(t > 1.0, 0.1, 0.2)), "`select_n`"),
+        (lambda: ending(), "`select_n`.*jumps, cases, tables and loops have not"),
     ],
 )
 def test_what_is_not_proved_says_why(study, reason):
@@ -156,6 +157,14 @@ def own(drift, disturbance=None, x0=0.1):
     disturbance = disturbance or qj.disturbances.Constant(0.1)
     loop = qj.ClosedLoop(Own(), proofs.REST, disturbance, proofs.still().nominal.loop.control)
     return qj.Study(lambda draw: qj.Scenario(loop, x0=[x0], t1=3.0), bandwidth=STILL_BANDWIDTH)
+
+
+def ending():
+    """In a funnel that is computed by cases: before the time at which it ends, and after it."""
+    loop = proofs.still().nominal.loop
+    control = dataclasses.replace(loop.control, funnel=qj.funnels.PrescribedTime(1.0, 1.0, 3.0, 0.5))
+    moved = dataclasses.replace(loop, control=control)
+    return qj.Study(lambda draw: qj.Scenario(moved, x0=[0.1], t1=3.0), bandwidth=0.7)
 
 
 @pytest.mark.slow
