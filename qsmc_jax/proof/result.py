@@ -168,7 +168,6 @@ class Proof(AbstractResult):
             "peak_errors": list(self.peak_errors),
             "least_gain": self.least_gain,
             "until": self.until,
-            "is_for_ever": math.isinf(self.until),
             "boxes": self.boxes,
             "uncertain": self._uncertain(),
             "constant": list(self.constant),

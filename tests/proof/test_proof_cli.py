@@ -37,7 +37,7 @@ def test_a_study_is_proved_checked_and_told_from_others(file, tmp_path):
     done = qsmc("certify", file(), "--boxes", 1, "--out", out, "--json", "--no-cache")
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
-    assert (said["verdict"], said["is_for_ever"]) == ("PROVED", True)
+    assert (said["verdict"], said["infinite"]) == ("PROVED", {"until": 1})
     assert {path.name for path in out.iterdir()} == {
         "certify.json",
         "proof.json",
