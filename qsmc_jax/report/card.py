@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import functools as ft
 import math
 import shlex
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from qsmc_jax.falsification.result import Falsification
 from qsmc_jax.metrics.verdict import Verdict
 from qsmc_jax.proof.certify import certify
 from qsmc_jax.proof.result import Proof
+from qsmc_jax.simulation.trajectory import Trajectory
 from qsmc_jax.study.monte_carlo import Progress
 from qsmc_jax.study.study import Study, require_study
 from qsmc_jax.verification.result import Verification
@@ -88,10 +90,15 @@ class Card(AbstractResult):
         """VIOLATED if a run, random or sought, violates a claim; HELD and UNDECIDED are those of the random runs."""
         return Verdict.VIOLATED if self.attack.verdict == Verdict.VIOLATED else self.verification.verdict
 
+    @ft.cached_property
+    def worst_run(self) -> Trajectory | None:
+        """The worst scenario that was found, solved again in full; None if no run was confirmed."""
+        return self.attack.replay() if self.attack.is_found else None
+
     @property
     def brackets(self) -> tuple[Bracket, ...]:
         """Peak input and peak ratio, each between what was found and what is certain."""
-        worst = self.attack.replay().metrics if self.attack.is_found else None
+        worst = None if self.worst_run is None else self.worst_run.metrics
         attack = [math.nan, math.nan] if worst is None else [float(worst.peak_u), float(worst.peak_ratio)]
         certain = (math.inf, math.inf) if self.proof is None else (self.proof.peak_u, self.proof.peak_ratio)
         ratios = [float(each) for each in self.verification.worst["peak_ratio"]]
@@ -187,8 +194,7 @@ class Card(AbstractResult):
             The axes.
         """
         axes = panels(ax, 2, 1, (8.0, 6.4)) if self.proof is None else self.proof.plot(ax)
-        if self.attack.is_found:
-            run = self.attack.replay()
+        if (run := self.worst_run) is not None:
             label = f"worst found: |u| up to {float(run.metrics.peak_u):.4g}"
             for axis, signal in zip(axes, (run.sigma, run.u), strict=True):
                 axis.plot(run.ts, signal, color=ORANGE, lw=1.2, label=label)
